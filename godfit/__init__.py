@@ -1,0 +1,1 @@
+"""Reads the parameters of god rays out of images."""

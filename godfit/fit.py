@@ -1,0 +1,268 @@
+"""The fit: screen, climb, settle on every pixel, and say what the answer is worth."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from godfit import inputs, search
+from godfit.image import Image
+from godfit.inference import Evidence, evidence, neighbour_correlation, undetermined
+from godfit.inputs import Source
+from godfit.models import Mitchell
+from godfit.observation import LEVELS, Observation, Picture
+from godfit.parameters import is_light
+from godfit.result import Estimate, FitResult
+from godfit.screen import starts
+
+STARTS = 8
+# More values than this say nothing new, and their derivatives would fill the memory.
+MAX_VALUES = 1 << 21
+# Correlation of neighbouring residuals above which noise is no explanation.
+STRUCTURE = 0.3
+
+
+def fit(
+    target: Source,
+    *,
+    mask: Source,
+    background: Source | None = None,
+    shader: str = "mitchell",
+    samples: int | None = None,
+    lights: int = 1,
+    pass_scale: float = 1.0,
+    fix: Mapping[str, float | None] | None = None,
+    start: Mapping[str, float] | None = None,
+    valid: np.ndarray | None = None,
+    transfer: str = "none",
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> FitResult:
+    """Fit a shader's parameters and the light's position to an image.
+
+    **Arguments:**
+
+    - `target`: a file, an `Image`, or an array (h, w) or (h, w, 3), row 0 at the top; arrays of
+      integers are bytes (or 16-bit words), of floats linear values without rounding.
+    - `mask`: the occlusion mask the scattering pass reads; linear, same aspect. A smaller one means
+      a light pass at lower resolution.
+    - `background`: the ordinary pass that the light is laid on, as large as the target.
+    - `shader`, `samples`: a name in `godfit.taps.CONVENTIONS`; its own default number of samples.
+    - `lights`: how many lights are summed.
+    - `pass_scale`: the size of the light pass against the mask's, at most 1.
+    - `fix`: parameters held, at a value or (None) at the start or the shader's default.
+    - `start`: parameters to start from. None is needed.
+    - `valid`: (h, w), False where the target is to be ignored.
+    - `transfer`: `"none"` or `"srgb"`, how the target (and the background) were encoded.
+    - `seed`: of the choice of pixels.
+    - `progress`: is called with a line of text as the fit goes on.
+
+    **Returns:** a `FitResult`. Raises `FitError`, `ImageError` or `ValueError` with one line for
+    input that cannot be fitted.
+    """
+    began = time.perf_counter()
+    say = progress or (lambda text: None)
+    images = {"target": inputs.image(target, transfer), "mask": inputs.image(mask, "none")}
+    if background is not None:
+        images["background"] = inputs.image(background, transfer)
+    picture = inputs.picture(
+        images["target"], images["mask"], images.get("background"), valid, pass_scale
+    )
+    model = inputs.template(shader, samples, lights)
+    given, held = inputs.parameters(model, fix or {}, start or {})
+    names = list(model.parameters)
+    used = np.array([is_light(n) or n in model.convention.parameters for n in names])
+    free = np.isnan(held) & used
+    open_: list[tuple[int, list[int]]] = []
+    if not model.convention.own_pixel and free[0] and free[3]:
+        # No pixel shows its own value: exposure and weight act only through their product.
+        held[0] = given.get("exposure", model.convention.defaults["exposure"])
+        free[0] = False
+        open_.append((0, [3]))
+
+    say("screening")
+    begun = starts(picture, model, given, keep=STARTS, seed=seed)
+    coordinates, sigma = begun[0], 1.0
+    if free.any():
+        point = search.climb(picture, model, begun, free, held, seed, say)
+        rough = _subset(picture, model, point.coordinates, free, held, seed, say)
+        coordinates, sigma = rough.coordinates, rough.sigma
+    pixels = _pixels(picture, seed)
+    seen = picture.observe(pixels)
+    say(f"all {len(pixels):,} pixels")
+    settled = search.settle(coordinates, model, seen, free, held, sigma)
+    at = evidence(settled, held, model, seen)
+    more = undetermined(at.curvature, model.ranges(settled.coordinates), free)
+    if more:
+        # What is left open has wandered on noise: back to where it was held to begin with.
+        open_ += more
+        coordinates = settled.coordinates.copy()
+        for index, _ in more:
+            free[index] = False
+            coordinates[index] = _held_at(model, given, coordinates, begun[0], index)
+        settled = search.settle(coordinates, model, seen, free, held, settled.sigma)
+        at = evidence(settled, held, model, seen)
+    return _result(
+        settled, at, picture, pixels, seen, model, free, held, used, open_, images,
+        time.perf_counter() - began,
+    )
+
+
+def _subset(
+    picture: Picture,
+    model: Mitchell,
+    coordinates: np.ndarray,
+    free: np.ndarray,
+    held: np.ndarray,
+    seed: int,
+    say: Callable[[str], None],
+) -> search.Settled:
+    """Sharp images, a few thousand pixels: noise and coordinates in turn, other dips of density."""
+    seen = picture.observe(picture.informative(search.PIXELS, seed))
+    settled = search.settle(coordinates, model, seen, free, held, 0.3)
+    along = list(model.parameters).index("density")
+    if settled.sigma > search.EXPLAINED and free[along]:
+        say("other densities")
+        other = search.reseed(settled.coordinates, along, model, picture, free, held, seed)
+        other = search.settle(other.coordinates, model, seen, free, held, 0.3)
+        if other.log_likelihood > settled.log_likelihood:
+            settled = other
+    return settled
+
+
+def _pixels(picture: Picture, seed: int) -> np.ndarray:
+    """All valid pixels, or those of rows drawn at random where there are too many."""
+    valid = picture.valid
+    rows = max(1, MAX_VALUES // (valid.shape[1] * picture.channels))
+    if rows < valid.shape[0]:
+        chosen = np.random.default_rng(seed).permutation(valid.shape[0])[:rows]
+        only = np.zeros_like(valid)
+        only[chosen] = True
+        valid = valid & only
+    return np.flatnonzero(valid)
+
+
+def _held_at(
+    model: Mitchell,
+    given: dict[str, float],
+    coordinates: np.ndarray,
+    begun: np.ndarray,
+    index: int,
+) -> np.float32:
+    """Where to hold an open coordinate: at what the user gave, the shader's default, or the start."""
+    name = list(model.parameters)[index]
+    if name in ("exposure", "density") or is_light(name):
+        value = given.get(name, model.convention.defaults.get(name, begun[index]))
+        return np.float32(value)
+    return begun[index]
+
+
+def _result(
+    settled: search.Settled,
+    at: Evidence,
+    picture: Picture,
+    pixels: np.ndarray,
+    seen: Observation,
+    model: Mitchell,
+    free: np.ndarray,
+    held: np.ndarray,
+    used: np.ndarray,
+    open_: list[tuple[int, list[int]]],
+    images: dict[str, Image],
+    seconds: float,
+) -> FitResult:
+    names = list(model.parameters)
+    fitted = model.moved(jnp.asarray(settled.coordinates), jnp.asarray(held))
+    values = np.array([float(v) for v in fitted.values().values()])
+
+    def parameters(z):
+        return jnp.stack(list(model.moved(z, jnp.asarray(held)).values().values()))
+
+    by_coordinate = np.asarray(jax.jacfwd(parameters)(jnp.asarray(settled.coordinates)), np.float64)
+    covariance = by_coordinate @ at.covariance(free) @ by_coordinate.T
+    # A parameter that an open coordinate would change is not known, however well the rest is.
+    opened = [i for i, _ in open_]
+    unknown = (np.abs(by_coordinate[:, opened]) > 0).any(1) if opened else np.zeros(len(names), bool)
+    unknown |= np.isin(np.arange(len(names)), opened) | (np.diag(covariance) <= 0)
+    stderr = np.sqrt(np.where(unknown, np.nan, np.diag(covariance)))
+    covariance[unknown] = covariance[:, unknown] = np.nan
+    lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
+    at_bound = (settled.coordinates <= lower) | (settled.coordinates >= upper)
+    params = {
+        name: Estimate(
+            float(values[i]),
+            None if unknown[i] else float(stderr[i]),
+            fixed=bool(not np.isnan(held[i]) and i not in opened),
+            at_bound=bool(free[i] and at_bound[i]),
+        )
+        for i, name in enumerate(names)
+        if used[i]
+    }
+    target = picture.levels.reshape(-1, picture.channels)[pixels].reshape(-1)
+    error = np.clip(at.prediction, 0, LEVELS) - target
+    rmse = float(np.sqrt(np.mean(error.astype(np.float64) ** 2)))
+    structure = neighbour_correlation(at.score, pixels, picture.size[1])
+    trusted = settled.sigma <= search.EXPLAINED or structure < STRUCTURE
+    converged = trusted and settled.quiet
+    return FitResult(
+        converged=converged,
+        message=_message(settled, trusted, structure),
+        model=fitted,
+        params=params,
+        covariance=covariance,
+        correlations=_correlations(names, covariance),
+        undetermined=tuple(_sentence(i, p, names, values, at, free, by_coordinate) for i, p in open_),
+        notes=tuple(f"{role}: {note}" for role, im in images.items() for note in im.notes),
+        noise_levels=settled.sigma,
+        rmse_levels=rmse,
+        psnr_db=float(20 * np.log10(LEVELS / max(rmse, 1e-6))),
+        pixels=len(pixels),
+        pixels_clipped=int((picture.clipped() & picture.valid).sum()),
+        log_likelihood=settled.log_likelihood,
+        timing_s={"solve": seconds},
+        picture=picture,
+        inputs={role: {"path": im.path, "sha256": im.sha256} for role, im in images.items()},
+    )
+
+
+def _message(settled: search.Settled, trusted: bool, structure: float) -> str:
+    if not trusted:
+        return (
+            f"the residual is structured (neighbours correlate by {structure:.2f} at a noise of "
+            f"{settled.sigma:.2f} levels): the shader, the mask or the transfer may be another, or "
+            "the fit has missed the best point; try --start"
+        )
+    if not settled.quiet:
+        return "the steps had not died down when the fit stopped; try --start near this answer"
+    return "converged"
+
+
+def _correlations(names: list[str], covariance: np.ndarray) -> dict[str, float]:
+    """Correlations above 0.1 in size, largest first."""
+    size = np.sqrt(np.diag(covariance))
+    pairs = {
+        f"{names[i]},{names[j]}": float(covariance[i, j] / (size[i] * size[j]))
+        for i in range(len(names))
+        for j in range(i + 1, len(names))
+        if np.isfinite(covariance[i, j]) and size[i] > 0 and size[j] > 0
+    }
+    ordered = sorted(pairs.items(), key=lambda item: -abs(item[1]))
+    return {pair: value for pair, value in ordered if abs(value) > 0.1}
+
+
+def _sentence(index, partners, names, values, at, free, by_coordinate) -> str:
+    """An open coordinate in words."""
+    name, value = names[index], values[index]
+    if name == "exposure":
+        product = values[0] * values[3]
+        return (
+            f"only exposure*weight is determined ({product:.6g}); exposure was held at {value:.6g}"
+        )
+    if partners:
+        combined = " and ".join([name, *(names[i] for i in partners)])
+        return f"only a combination of {combined} is determined; {name} was held at {value:.6g}"
+    return f"{name} is not determined by this picture; it was held at {value:.6g}"

@@ -1,0 +1,383 @@
+"""Image files <-> linear float32 arrays, refusing rather than losing bits.
+
+Arrays are (height, width) or (height, width, 3), row 0 at the top, 1.0 = the brightest level.
+A format is recognised by the file's first bytes, never by its name. The readers, each the one
+which keeps every bit of its format: imagecodecs for PNG (Pillow and imageio cut 16-bit colour
+to 8), Pillow for JPEG (the only one which notices a cut file), tifffile, OpenEXR and numpy.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import os
+import secrets
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+TRANSFERS = ("none", "srgb")
+FORMATS = "PNG, JPEG, TIFF, EXR or .npy"
+MAX_PIXELS = 2**29  # above this a header is taken for damage or a decompression bomb
+
+
+class ImageError(ValueError):
+    """One line: what was expected, what was got, what to do."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(" ".join(str(message).splitlines()))
+
+
+@dataclass(frozen=True, eq=False)  # == on arrays has no single truth value
+class Image:
+    """An image in linear light and what is known of how it was stored."""
+
+    values: np.ndarray  # float32, (h, w) or (h, w, 3), linear
+    quantum: float | None  # step of the encoded values: 1/255, 1/65535, or None for floats
+    transfer: str  # "none" or "srgb"
+    path: str  # as given; "" if made in memory
+    sha256: str  # of the file's bytes
+    notes: tuple[str, ...] = ()  # plain sentences on anything dropped or doubtful
+
+    @property
+    def encoded(self) -> np.ndarray:
+        """float32 values in the file's own encoding; k * quantum, but for float32 rounding."""
+        if self.transfer == "none":
+            return self.values
+        return _by_rows(lambda rows: encode(rows, self.transfer), self.values, np.float32)
+
+
+def decode(x: Any, transfer: str) -> Any:
+    """Encoded -> linear (IEC 61966-2-1 for "srgb"), elementwise on a numpy or jax float array.
+
+    Below 0 the linear segment goes on, above 1 the power. Raises ImageError for an unknown
+    transfer.
+    """
+    if _known(transfer) == "none":
+        return x
+    xp = x.__array_namespace__()
+    # The maximum keeps the unused branch of the where, and its gradient, finite.
+    power = ((xp.maximum(x, 0.04045) + 0.055) / 1.055) ** 2.4
+    return xp.where(x <= 0.04045, x / 12.92, power)
+
+
+def encode(x: Any, transfer: str) -> Any:
+    """Linear -> encoded: the inverse of decode, on the same arrays, with the same errors."""
+    if _known(transfer) == "none":
+        return x
+    xp = x.__array_namespace__()
+    power = 1.055 * xp.maximum(x, 0.0031308) ** (1 / 2.4) - 0.055
+    return xp.where(x <= 0.0031308, x * 12.92, power)
+
+
+def read_image(path: str | os.PathLike[str], *, transfer: str = "none") -> Image:
+    """Read a PNG, JPEG, TIFF, EXR or .npy file; the transfer is undone, alpha is dropped.
+
+    Raises ImageError, naming the path, for anything which cannot be read whole and exactly.
+    """
+    _known(transfer)
+    name = os.fsdecode(path)
+    try:
+        with open(name, "rb") as file:
+            data = file.read()
+    except (OSError, ValueError) as error:  # ValueError: a null character in the path
+        reason = getattr(error, "strerror", None) or error
+        raise ImageError(f"{name!r}: cannot be read ({reason}); expected {FORMATS}") from error
+    kind, reader = _recognise(data, name)
+    digest, notes = hashlib.sha256(data).hexdigest(), []
+    try:
+        with _quiet():
+            codes = reader(data, notes)
+        del data  # up to a third of the memory in use
+        values, quantum = _linear(codes, transfer, notes)
+    except Exception as error:
+        raise ImageError(f"{name!r} ({kind}): {str(error) or type(error).__name__}") from error
+    return Image(values, quantum, transfer, name, digest, tuple(notes))
+
+
+def write_image(
+    path: str | os.PathLike[str], values: Any, *, transfer: str = "none", bits: int = 8
+) -> None:
+    """Write linear (h, w) or (h, w, 3) values to .png (8 or 16 bits) or .npy, whole or not at all.
+
+    PNG: encoded with the transfer, clipped to [0, 1], rounded half up to the nearest level.
+    .npy: float32, linear, whatever the transfer. Raises ImageError.
+    """
+    _known(transfer)
+    name = os.fsdecode(path)
+    suffix = os.path.splitext(name)[1].lower()
+    if suffix not in (".png", ".npy"):
+        raise ImageError(f"{name!r}: expected a name in .png or .npy, got {suffix!r}; rename it")
+    if bits not in (8, 16):
+        raise ImageError(f"{name!r}: expected 8 or 16 bits, got {bits!r}")
+    values = np.asarray(values)
+    if values.dtype.kind not in "fiu" or values.shape[2:] not in ((), (3,)):
+        got = f"{values.dtype} {values.shape}"
+        raise ImageError(f"{name!r}: expected numbers (h, w) or (h, w, 3), got {got}")
+    try:
+        _check_shape(values.shape)
+        with np.errstate(over="ignore"):
+            values = _finite(values.astype(np.float32, copy=False))
+        if suffix == ".npy":
+            stream = io.BytesIO()
+            np.save(stream, values, allow_pickle=False)
+            data = stream.getvalue()
+        else:
+            import imagecodecs
+
+            top = 2**bits - 1
+            data = imagecodecs.png_encode(
+                _by_rows(
+                    lambda rows: np.floor(encode(rows.clip(0, 1), transfer) * top + 0.5),
+                    values,
+                    np.uint8 if bits == 8 else np.uint16,
+                )
+            )
+        atomic_write(name, bytes(data))
+    except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: libpng's
+        reason = getattr(error, "strerror", None) or error
+        raise ImageError(f"{name!r}: cannot be written: {reason}") from error
+
+
+def atomic_write(path: str | os.PathLike[str], data: bytes) -> None:
+    """Write data to path, which then holds all of it or is as it was. Raises OSError.
+
+    The file is a new one with the umask's permissions, even where an old one is replaced.
+    """
+    name = os.fsdecode(path)
+    temporary = os.path.join(os.path.dirname(name), f".{secrets.token_hex(8)}.tmp")
+    try:
+        with open(temporary, "xb") as file:  # unlike tempfile's, open to whom the umask lets
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())  # the name must not reach the disk before the bytes
+        os.replace(temporary, name)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.unlink(temporary)
+        raise
+
+
+def _known(transfer: str) -> str:
+    if transfer not in TRANSFERS:
+        raise ImageError(f"expected transfer 'none' or 'srgb', got {transfer!r}")
+    return transfer
+
+
+def _by_rows(function: Callable[[Any], Any], source: np.ndarray, dtype: Any) -> np.ndarray:
+    """The elementwise function of source, in float64 where it is float, a few rows at a time."""
+    out = np.empty(source.shape, dtype)
+    step = max(1, 2**18 // source[0].size)
+    for start in range(0, len(source), step):
+        rows = source[start : start + step]
+        out[start : start + step] = function(
+            rows.astype(np.float64) if rows.dtype.kind == "f" else rows
+        )
+    return out
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    if not np.isfinite(values).all():
+        raise ImageError("expected finite float32 values, got NaN or infinity; replace them first")
+    return values
+
+
+def _check_shape(shape: tuple[int, ...]) -> None:
+    """Refuse an empty, huge or wrongly shaped image, if possible before it is decoded."""
+    if len(shape) not in (2, 3) or (len(shape) == 3 and not 1 <= shape[2] <= 4):
+        raise ImageError(f"expected a shape (h, w) or (h, w, 1 to 4), got {shape}")
+    if not 0 < shape[0] * shape[1] <= MAX_PIXELS or min(shape) < 0:
+        raise ImageError(f"expected from 1 to {MAX_PIXELS} pixels, got {shape[0]} x {shape[1]}")
+
+
+def _linear(codes: np.ndarray, transfer: str, notes: list[str]) -> tuple[np.ndarray, float | None]:
+    """The stored samples (h, w[, 1 to 4]) -> linear float32 values and quantum; adds to notes."""
+    _check_shape(codes.shape)
+    kind = codes.dtype.newbyteorder("=").name
+    if kind not in ("uint8", "uint16", "float16", "float32", "float64"):
+        raise ImageError(f"expected uint8, uint16 or 16 to 64-bit float samples, got {kind}")
+    top = float(np.iinfo(codes.dtype).max) if codes.dtype.kind == "u" else 1.0
+    if codes.ndim == 3:
+        if codes.shape[2] in (2, 4):
+            if not (codes[..., -1] >= top).all():
+                notes.append("The alpha channel is not full everywhere; it was dropped.")
+            codes = codes[..., :-1]
+        if codes.shape[2] == 1:
+            codes = codes[..., 0]
+    if kind == "float64":
+        notes.append("64-bit floats were rounded to 32 bits.")
+    if codes.dtype.kind == "u":
+        table = decode(np.arange(top + 1) / top, transfer).astype(np.float32)
+        return _by_rows(lambda rows: table[rows], codes, np.float32), 1 / top
+    with np.errstate(over="ignore", invalid="ignore"):  # _finite reports them
+        return _finite(_by_rows(lambda rows: decode(rows, transfer), codes, np.float32)), None
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Silence decoders: libpng and OpenEXR write to descriptor 2, OpenEXR also to sys.stdout.
+
+    Nothing is lost: each reader finds truncation by itself and raises.
+    """
+    with (
+        open(os.devnull, "w") as null,
+        contextlib.redirect_stdout(null),
+        contextlib.redirect_stderr(null),
+        contextlib.ExitStack() as stack,
+    ):
+        with contextlib.suppress(OSError):  # the process may have no descriptor 2
+            saved = os.dup(2)
+            stack.callback(os.close, saved)
+            stack.callback(os.dup2, saved, 2)
+            os.dup2(null.fileno(), 2)
+        yield
+
+
+def _note_orientation(orientation: int, notes: list[str]) -> None:
+    if orientation != 1:
+        notes.append(f"The orientation tag ({orientation}) was ignored: rows are as stored.")
+
+
+def _read_png(data: bytes, notes: list[str]) -> np.ndarray:
+    import imagecodecs
+
+    # libpng leaves the last chunks unread, so that a cut or damaged tail would pass.
+    kinds: set[bytes] = set()
+    view, start = memoryview(data), 8
+    while b"IEND" not in kinds:
+        end = start + 12 + int.from_bytes(view[start : start + 4], "big")
+        if end > len(data):
+            raise ImageError("the file is cut short; copy or save it again")
+        if zlib.crc32(view[start + 4 : end - 4]) != int.from_bytes(view[end - 4 : end], "big"):
+            raise ImageError(f"the chunk at byte {start} is damaged; copy or save it again")
+        kinds.add(data[start + 4 : start + 8])
+        start = end
+    if b"acTL" in kinds:
+        raise ImageError("expected a still image, got an animation; save one frame")
+    width, height = (int.from_bytes(data[i : i + 4], "big") for i in (16, 20))
+    _check_shape((height, width))
+    depth, colour = data[24], data[25]
+    if colour == 3:
+        notes.append("A palette image: if its colours were reduced, rounding intervals are wrong.")
+    elif depth < 8:
+        levels = 2**depth
+        notes.append(f"Only {levels} grey levels: the true step is 1/{levels - 1}, not 1/255.")
+    return imagecodecs.png_decode(data)
+
+
+def _read_jpeg(data: bytes, notes: list[str]) -> np.ndarray:
+    # Not PIL.Image.open, which has its own, lower size limit.
+    from PIL.JpegImagePlugin import JpegImageFile
+
+    notes.append("JPEG is lossy: rounding intervals are not exact.")
+    with JpegImageFile(io.BytesIO(data)) as image:
+        if image.mode not in ("L", "RGB"):
+            raise ImageError(f"expected grey or RGB, got {image.mode}; convert it to RGB")
+        _check_shape((image.height, image.width))
+        _note_orientation(image.getexif().get(274, 1), notes)
+        image.load()
+        return np.asarray(image)
+
+
+def _read_tiff(data: bytes, notes: list[str]) -> np.ndarray:
+    import tifffile
+
+    with tifffile.TiffFile(io.BytesIO(data)) as tiff:
+        page = tiff.pages.first
+        more = len(tiff.pages) > 1  # reads to the last page, whose pointer to the next must be 0
+        more |= any(data[tiff.pages.next_page_offset :][: tiff.tiff.offsetsize])
+        if more or not isinstance(page, tifffile.TiffPage):
+            raise ImageError("expected one page, got several; save the wanted page by itself")
+        _check_shape((page.imagelength, page.imagewidth))
+        colours = {0: 0, 1: 1, 2: 3}.get(page.photometric, 0)  # black is 0; RGB
+        if not colours or page.samplesperpixel - colours not in (0, 1):
+            got = f"photometric {page.photometric!r} with {page.samplesperpixel} samples"
+            raise ImageError(f"expected grey or RGB with or without alpha, got {got}; convert it")
+        # none, LZW, deflate, packbits, deflate, LZMA, Zstandard: the lossless ones
+        if page.compression not in (1, 5, 8, 32773, 32946, 34925, 50000):
+            got = f"{page.compression!r}"  # a number where the code is unknown
+            raise ImageError(f"expected no or lossless compression, got {got}; save it with LZW")
+        # tifffile fills missing strips with zeros, and some decoders accept a cut one.
+        strips = list(zip(page.dataoffsets, page.databytecounts, strict=False))
+        whole = all(count and start + count <= len(data) for start, count in strips)
+        if not whole or len(strips) != np.prod(page.chunked):
+            raise ImageError("the file is cut short or has missing strips; save it again")
+        _note_orientation(page.tags.valueof(274, 1), notes)
+        codes = page.asarray()
+        if page.bitspersample != 8 * codes.dtype.itemsize:  # 12 bits: the step is not 1/65535
+            raise ImageError(f"expected 8 or 16 bits or floats, got {page.bitspersample} bits")
+        return np.moveaxis(codes, 0, -1) if page.axes == "SYX" else codes
+
+
+def _read_exr(data: bytes, notes: list[str]) -> np.ndarray:
+    import OpenEXR
+
+    head = OpenEXR.File(io.BytesIO(data), header_only=True)
+    if len(head.parts) != 1:
+        raise ImageError(f"expected one part, got {len(head.parts)}; save the wanted part")
+    header = head.header()
+    window = np.array(header["dataWindow"], dtype=np.int64)
+    width, height = (int(n) for n in window[1] - window[0] + 1)
+    _check_shape((height, width))
+    if not np.array_equal(window, header["displayWindow"]):
+        notes.append("Only the data window was read; it is not the whole display window.")
+    file = OpenEXR.File(io.BytesIO(data))
+    if not file.parts:  # all that OpenEXR does when the pixels cannot be decoded
+        raise ImageError("the file is cut short or damaged; copy or save it again")
+    channels = file.channels()
+    colour = next((key for key in ("RGBA", "RGB", "Y") if key in channels), None)
+    if colour is None or "RY" in channels:
+        raise ImageError(f"expected channels R, G, B or Y, got {', '.join(channels)}; rename them")
+    others = sorted(set(channels) - {colour, "A"})
+    if others:
+        notes.append(f"Other channels were dropped: {', '.join(others)}.")
+    codes = channels[colour].pixels
+    if "A" in channels:
+        codes = np.stack([codes, channels["A"].pixels], axis=-1)
+    return codes
+
+
+def _read_npy(data: bytes, notes: list[str]) -> np.ndarray:
+    # Not np.load: this copies nothing, can never unpickle, and sees the shape beforehand.
+    stream = io.BytesIO(data)
+    version = np.lib.format.read_magic(stream)
+    if version == (1, 0):
+        shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+    else:
+        shape, fortran, dtype = np.lib.format.read_array_header_2_0(stream)
+    _check_shape(shape)
+    if dtype.kind not in "fu":
+        raise ImageError(f"expected uint8, uint16 or float samples, got {dtype}; convert them")
+    expected, got = int(np.prod(shape)) * dtype.itemsize, len(data) - stream.tell()
+    if got != expected:
+        raise ImageError(f"expected {expected} bytes of samples, got {got}; save it again")
+    flat = np.frombuffer(data, dtype, offset=stream.tell())
+    return flat.reshape(shape, order="F" if fortran else "C")
+
+
+# The reader of a format: (the file's bytes, notes to add to) -> stored samples (h, w[, 1 to 4]).
+_Reader = Callable[[bytes, list[str]], np.ndarray]
+_READERS: dict[bytes, tuple[str, _Reader]] = {
+    b"\x89PNG\r\n\x1a\n": ("PNG", _read_png),
+    b"\xff\xd8\xff": ("JPEG", _read_jpeg),
+    b"II*\0": ("TIFF", _read_tiff),
+    b"MM\0*": ("TIFF", _read_tiff),
+    b"II+\0": ("BigTIFF", _read_tiff),
+    b"MM\0+": ("BigTIFF", _read_tiff),
+    b"v/1\x01": ("EXR", _read_exr),
+    b"\x93NUMPY": (".npy", _read_npy),
+}
+_REFUSED = {b"GIF8": "GIF", b"BM": "BMP", b"RIFF": "WebP", b"#?R": "Radiance HDR", b"": "no image"}
+
+
+def _recognise(data: bytes, name: str) -> tuple[str, _Reader]:
+    for magic, found in _READERS.items():
+        if data.startswith(magic):
+            return found
+    got = next(text for magic, text in _REFUSED.items() if data.startswith(magic))
+    got = f"{got} (first bytes {data[:8]!r})" if data else "an empty file"
+    raise ImageError(f"{name!r}: expected {FORMATS}, got {got}; convert it to 16-bit PNG or EXR")

@@ -1,0 +1,112 @@
+"""From what the user gives to what the fit works on, or one line that says why not."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from collections.abc import Mapping
+
+import numpy as np
+
+from godfit.image import Image, decode, read_image
+from godfit.models import Mitchell
+from godfit.observation import Picture
+from godfit.screen import shrink
+
+Source = str | os.PathLike[str] | np.ndarray | Image
+
+
+class FitError(ValueError):
+    """One line: what was expected, what was got, what to do."""
+
+
+def image(source: Source, transfer: str) -> Image:
+    """A file, an ``Image`` as it is, or an array; see ``godfit.fit``."""
+    if isinstance(source, Image):
+        return source
+    if isinstance(source, (str, os.PathLike)):
+        return read_image(source, transfer=transfer)
+    array = np.asarray(source)
+    if array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,)) or 0 in array.shape:
+        raise FitError(f"image: expected shape (h, w) or (h, w, 3), got {array.shape}")
+    quantum = {np.dtype(np.uint8): 1 / 255, np.dtype(np.uint16): 1 / 65535}.get(array.dtype)
+    values = array.astype(np.float32) * np.float32(1 if quantum is None else quantum)
+    if not np.isfinite(values).all():
+        raise FitError("image: expected finite numbers, got NaN or infinity")
+    return Image(np.asarray(decode(values, transfer)), quantum, transfer, "", "")
+
+
+def picture(
+    target: Image,
+    mask: Image,
+    background: Image | None,
+    valid: np.ndarray | None,
+    pass_scale: float,
+) -> Picture:
+    """Target, mask and background as one, checked against each other; see ``godfit.fit``."""
+    size, values = target.values.shape[:2], mask.values
+    if background is not None and background.values.shape[:2] != size:
+        raise FitError(
+            f"background: expected the target's {size[1]}x{size[0]} pixels, got "
+            f"{background.values.shape[1]}x{background.values.shape[0]}; render it at that size"
+        )
+    if not 0 < pass_scale <= 1:
+        raise FitError(f"pass scale: expected a number above 0, at most 1, got {pass_scale}")
+    if pass_scale < 1:
+        h, w = (max(1, round(n * pass_scale)) for n in values.shape[:2])
+        values = shrink(values, (h, w))
+    (h, w), (height, width) = values.shape[:2], size
+    if h > height or w > width:
+        raise FitError(
+            f"mask: expected at most the target's {width}x{height} pixels, got {w}x{h}; "
+            "scale the mask down or give the target at full size"
+        )
+    # A pass at a fraction of an odd size is rounded to whole pixels: one pixel either way.
+    if abs(w * height - h * width) > max(width, height):
+        raise FitError(
+            f"mask: expected the target's aspect {width}:{height}, got {w}:{h}; "
+            "crop or render the mask for the same frame"
+        )
+    if valid is not None and not valid.any():
+        raise FitError("ignore: expected pixels to be left, got all of them ignored; ignore less")
+    return Picture.make(target, values, None if background is None else background.values, valid)
+
+
+def template(shader: str, samples: int | None, lights: int) -> Mitchell:
+    """A model of the right kind, at no particular point."""
+    if samples is not None and not 2 <= samples <= 100_000:
+        raise FitError(f"samples: expected a whole number from 2 to 100000, got {samples}")
+    if not 1 <= lights <= 8:
+        raise FitError(f"lights: expected 1 to 8, got {lights}")
+    return Mitchell(1.0, 0.9, 0.5, 0.5, [[0.5, 0.5]] * lights, shader, samples)
+
+
+def parameters(
+    model: Mitchell, fix: Mapping[str, float | None], start: Mapping[str, float]
+) -> tuple[dict[str, float], np.ndarray]:
+    """Values that the search takes as they are, and (p,) held parameters, NaN where free."""
+    table = model.parameters
+    given: dict[str, float] = {}
+    for option, values in (("start", start), ("fix", fix)):
+        for name, value in values.items():
+            if name not in table:
+                near = difflib.get_close_matches(name, table, n=1, cutoff=0.0)[0]
+                raise FitError(
+                    f"{option}: expected one of {', '.join(table)}, got '{name}'; "
+                    f"did you mean '{near}'?"
+                )
+            if value is None:
+                value = given.get(name, model.convention.defaults.get(name))
+            if value is None:
+                raise FitError(
+                    f"fix: expected {name}=VALUE, got no value; '{model.shader}' has no default of "
+                    f"{name}, so give one"
+                )
+            row = table[name]
+            if not row.lower <= value <= row.upper:
+                raise FitError(
+                    f"{option}: expected {name} from {row.lower:g} to {row.upper:g}, got {value:g}"
+                )
+            given[name] = float(value)
+    held = np.array([given[n] if n in fix else np.nan for n in table], np.float32)
+    return given, held

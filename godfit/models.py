@@ -1,0 +1,234 @@
+"""Models: parameters + mask -> image.
+
+A model is a module whose fields are its parameters. ``godfit.fit`` never names one: it moves the
+vector of ``coordinates`` and asks the model for the image.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from godfit.parameters import Parameter, table
+from godfit.radial import radial_sum
+from godfit.radial.reference import bilinear
+from godfit.taps import Convention, convention
+
+
+class AbstractModel(eqx.Module):
+    """What fit and report need to know of a model."""
+
+    @property
+    @abstractmethod
+    def parameters(self) -> dict[str, Parameter]:
+        """The table of this model's parameters, by name."""
+
+    @abstractmethod
+    def values(self) -> dict[str, Float[Array, ""]]:
+        """The parameters, by name, in the table's order."""
+
+    @abstractmethod
+    def coordinates(self) -> Float[Array, " p"]:
+        """The point in fit coordinates, one for each parameter and in their order."""
+
+    @abstractmethod
+    def moved(
+        self, coordinates: Float[Array, " p"], held: Float[Array, " p"] | None = None
+    ) -> AbstractModel:
+        """This model at another point. ``held`` holds parameters (not coordinates) at a value;
+        NaN leaves them free."""
+
+    @abstractmethod
+    def bounds(self) -> tuple[list[float], list[float]]:
+        """Lower and upper bounds of the coordinates."""
+
+    @abstractmethod
+    def ranges(self, coordinates: np.ndarray) -> np.ndarray:
+        """How far each coordinate could plausibly lie from where it is."""
+
+    @abstractmethod
+    def __call__(
+        self,
+        mask: Float[Array, "h w"] | Float[Array, "h w c"],
+        background: Float[Array, "..."] | None = None,
+        *,
+        size: tuple[int, int] | None = None,
+        pixels: Int[Array, " n"] | None = None,
+    ) -> Float[Array, "..."]:
+        """The image; see ``Mitchell``."""
+
+
+class Mitchell(AbstractModel):
+    """Mitchell's screen-space scattering sum (GPU Gems 3, ch. 13) as one shader computes it.
+
+    ``exposure``, ``decay``, ``density`` and ``weight`` are the shader's; ``light`` is (lights, 2)
+    in texture coordinates. Several lights are a sum over lights. ``samples`` is an integer and is
+    not differentiated.
+
+    Fit coordinates (one for each parameter, in order): exposure; kappa = -samples ln(decay) /
+    density, the attenuation for each unit of ray; density; gain = exposure weight samples /
+    density; the lights. The image depends on samples almost only through kappa and gain.
+    """
+
+    exposure: Float[Array, ""]
+    decay: Float[Array, ""]
+    density: Float[Array, ""]
+    weight: Float[Array, ""]
+    light: Float[Array, "lights 2"]
+    shader: str = eqx.field(static=True, default="mitchell")
+    samples: int = eqx.field(static=True, default=100)
+
+    def __init__(self, exposure, decay, density, weight, light, shader="mitchell", samples=None):
+        self.exposure, self.decay = jnp.asarray(exposure, float), jnp.asarray(decay, float)
+        self.density, self.weight = jnp.asarray(density, float), jnp.asarray(weight, float)
+        self.light = jnp.asarray(light, float).reshape(-1, 2)
+        self.shader = convention(shader).name
+        self.samples = convention(shader).samples if samples is None else samples
+
+    @property
+    def convention(self) -> Convention:
+        return convention(self.shader)
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        return table(self.light.shape[0])
+
+    def values(self) -> dict[str, Float[Array, ""]]:
+        numbers = (self.exposure, self.decay, self.density, self.weight, *self.light.reshape(-1))
+        return dict(zip(self.parameters, numbers, strict=True))
+
+    def coordinates(self) -> Float[Array, " p"]:
+        per_ray = self.samples / self.density
+        kappa = -per_ray * jnp.log(self.decay)
+        gain = self.exposure * self.weight * per_ray
+        return jnp.stack([self.exposure, kappa, self.density, gain, *self.light.reshape(-1)])
+
+    def moved(
+        self, coordinates: Float[Array, " p"], held: Float[Array, " p"] | None = None
+    ) -> Mitchell:
+        if held is None:
+            held = jnp.full_like(coordinates, jnp.nan)
+        free = jnp.isnan(held)
+        exposure, kappa, density, gain = coordinates[:4]
+        exposure = jnp.where(free[0], exposure, held[0])
+        density = jnp.where(free[2], density, held[2])
+        step = density / self.samples
+        decay = jnp.where(free[1], jnp.exp(-kappa * step), held[1])
+        # With no exposure there is no light pass, whatever the weight: the guard keeps 0/0 out.
+        shown = jnp.where(exposure == 0, 1.0, exposure)
+        weight = jnp.where(free[3], gain * step / shown, held[3])
+        light = jnp.where(free[4:], coordinates[4:], held[4:]).reshape(-1, 2)
+        return eqx.tree_at(
+            lambda m: (m.exposure, m.decay, m.density, m.weight, m.light),
+            self,
+            (exposure, decay, density, weight, light),
+        )
+
+    def bounds(self) -> tuple[list[float], list[float]]:
+        inf = float("inf")
+        lights = 2 * self.light.shape[0]
+        # kappa >= 0 is decay <= 1. Rays shorter than a thousandth show nothing of decay or weight.
+        return [0.0, 0.0, 1e-3, 0.0] + [-inf] * lights, [inf, inf, 1.0, inf] + [inf] * lights
+
+    def ranges(self, coordinates: np.ndarray) -> np.ndarray:
+        exposure, kappa, _, gain = coordinates[:4]
+        known = [max(exposure, 0.02), max(kappa, 2.0), 0.5, max(gain, 0.05)]
+        return np.array(known + [0.5] * 2 * self.light.shape[0])
+
+    def light_pass(
+        self,
+        mask: Float[Array, "h w"] | Float[Array, "h w c"],
+        at: Float[Array, "*points 2"] | None = None,
+        method: str = "auto",
+    ) -> Float[Array, "..."]:
+        """The scattering pass alone, unclamped, at ``at`` (columns and rows of the mask) or at every
+        pixel of the mask."""
+        shader = self.convention
+        passes = shader.taps(self.exposure, self.decay, self.density, self.weight, self.samples)
+        total = 0.0
+        for light in self.light:
+            image = 1 - mask if shader.complement else mask
+            for taps in passes[:-1]:
+                image = radial_sum(image, light, taps, method=method)
+            image = radial_sum(image, light, passes[-1], at=at, method=method)
+            total += self.exposure * (1 - image) if shader.complement else image
+        return jnp.asarray(total)
+
+    def __call__(
+        self,
+        mask: Float[Array, "h w"] | Float[Array, "h w c"],
+        background: Float[Array, "..."] | None = None,
+        *,
+        size: tuple[int, int] | None = None,
+        pixels: Int[Array, " n"] | None = None,
+        method: str = "auto",
+    ) -> Float[Array, "..."]:
+        """Light pass, upsampled if need be, on the background; linear, not clamped.
+
+        **Arguments:**
+
+        - `mask`: (h, w) or (h, w, channels), linear.
+        - `background`: the ordinary pass, (H, W) or (H, W, channels), or None for black.
+        - `size`: (H, W) of the image; by default the mask's. A smaller mask is a light pass at
+          lower resolution: it is rendered at the mask's size, clamped to [0, 1] as its 8-bit
+          texture is, and read bilinearly.
+        - `pixels`: (n,) row-major indices of the pixels wanted; by default all.
+        - `method`: see `godfit.radial.radial_sum`.
+
+        **Returns:** (H, W) or (n,), then the channels of the mask or the background.
+        """
+        low = mask.shape[:2]
+        size = low if size is None else size
+        if size == low:
+            at = None if pixels is None else _columns_rows(pixels, size[1], mask.dtype)
+            light = self.light_pass(mask, at, method)
+        else:
+            light = self._upsampled(mask, size, pixels, method)
+        if background is None:
+            return light
+        if pixels is not None:
+            background = background.reshape(-1, *background.shape[2:])[pixels]
+        if background.ndim > light.ndim:
+            light = light[..., None]
+        elif light.ndim > background.ndim:
+            background = background[..., None]
+        if self.convention.blend == "screen":
+            return background + light - background * light
+        return self.convention.background_gain * background + light
+
+    def _upsampled(self, mask, size, pixels, method):
+        """Bilinear read of the light pass rendered at the mask's own size."""
+        (h, w), (height, width) = mask.shape[:2], size
+        if pixels is None:
+            pixels = jnp.arange(height * width)
+            shape = size
+        else:
+            shape = pixels.shape
+        at = _columns_rows(pixels, width, mask.dtype)
+        x, y = (at[:, 0] + 0.5) * w / width - 0.5, (at[:, 1] + 0.5) * h / height - 0.5
+        if 4 * pixels.shape[0] >= h * w:
+            low = jnp.clip(self.light_pass(mask, None, method), 0, 1)
+            read = lambda image: bilinear(image, x, y)
+            out = read(low) if low.ndim == 2 else jax.vmap(read, -1, -1)(low)
+        else:
+            # A few pixels need no whole picture: only the four texels about each.
+            i, j = jnp.floor(x), jnp.floor(y)
+            columns, rows = jnp.clip(i + jnp.array([[0], [1], [0], [1]]), 0, w - 1), jnp.clip(
+                j + jnp.array([[0], [0], [1], [1]]), 0, h - 1
+            )
+            texels = self.light_pass(mask, jnp.stack([columns, rows], -1), method)
+            texels = jnp.clip(texels, 0, 1)
+            fx, fy = x - i, y - j
+            share = jnp.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy])
+            out = jnp.einsum("kn,kn...->n...", share, texels)
+        return out.reshape(*shape, *mask.shape[2:])
+
+
+def _columns_rows(pixels, width, dtype):
+    """Row-major indices (n,) -> (n, 2) columns and rows."""
+    return jnp.stack([pixels % width, pixels // width], -1).astype(dtype)

@@ -1,0 +1,161 @@
+"""What the images say, in the form that fit works on: numbers at chosen pixels, in 8-bit levels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from scipy import ndimage
+
+from godfit.image import Image, encode
+from godfit.models import AbstractModel
+
+LEVELS = 255.0
+
+
+class Observation(eqx.Module):
+    """Intervals [lo, hi) in levels for ``pixels`` (row-major indices) of a ``size`` image, channel
+    by channel, and what a model needs to predict them."""
+
+    mask: Float[Array, "h w"] | Float[Array, "h w c"]
+    background: Float[Array, "..."] | None
+    pixels: Int[Array, " n"]
+    lo: Float[Array, " m"]
+    hi: Float[Array, " m"]
+    size: tuple[int, int] = eqx.field(static=True)
+    channels: int = eqx.field(static=True)
+    transfer: str = eqx.field(static=True)
+
+    def predict(self, model: AbstractModel) -> Float[Array, " m"]:
+        """Levels of the model's image before rounding, (pixels x channels,)."""
+        image = model(self.mask, self.background, size=self.size, pixels=self.pixels)
+        image = image.reshape(self.pixels.shape[0], -1)
+        image = jnp.broadcast_to(image, (self.pixels.shape[0], self.channels))
+        return LEVELS * encode(image, self.transfer).reshape(-1)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Target, mask and background, reduced to the channels that differ.
+
+    ``levels`` (h, w, c) is the target in 8-bit levels of its own encoding, ``half`` half the
+    distance between two of its levels (0 for floats), ``valid`` (h, w) is False where the user said
+    to look away. ``mask`` (h', w') or (h', w', c) and ``background`` (h, w, c) or None are linear.
+    """
+
+    levels: np.ndarray
+    half: float
+    valid: np.ndarray
+    mask: np.ndarray
+    background: np.ndarray | None
+    transfer: str
+
+    @staticmethod
+    def make(
+        target: Image, mask: np.ndarray, background: np.ndarray | None, valid: np.ndarray | None
+    ) -> Picture:
+        """Channels that agree in target, mask and background are kept once."""
+        levels = np.atleast_3d(target.encoded) * np.float32(LEVELS)
+        mask, grey_mask = _grey(mask)
+        grey_target = _grey(levels)[1] and (background is None or _grey(background)[1])
+        if grey_mask and grey_target:
+            levels = levels[..., :1]
+            background = None if background is None else np.atleast_3d(background)[..., :1]
+        elif levels.shape[-1] == 1:
+            levels = np.repeat(levels, 3, axis=-1)
+        if background is not None:
+            background = np.broadcast_to(np.atleast_3d(background), levels.shape)
+        if valid is None:
+            valid = np.ones(levels.shape[:2], bool)
+        half = 0.0 if target.quantum is None else target.quantum * LEVELS / 2
+        return Picture(levels, half, valid, mask, background, target.transfer)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.levels.shape[0], self.levels.shape[1]
+
+    @property
+    def channels(self) -> int:
+        return self.levels.shape[-1]
+
+    def intervals(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(n, c) bounds of the values behind ``pixels``; one-sided at the ends of the scale."""
+        t = self.levels.reshape(-1, self.channels)[pixels]
+        if self.half == 0:
+            return t, t
+        lo = np.where(t < self.half, -np.inf, t - self.half)
+        hi = np.where(t > LEVELS - self.half, np.inf, t + self.half)
+        return lo.astype(np.float32), hi.astype(np.float32)
+
+    def clipped(self) -> np.ndarray:
+        """(h, w): pixels at the top of the scale in some channel."""
+        return (self.levels >= LEVELS - max(self.half, 1e-3)).any(-1) & (self.half > 0)
+
+    def observe(self, pixels: np.ndarray, blur: float = 0.0) -> Observation:
+        """The picture at ``pixels``; with ``blur`` (pixels, the standard deviation of a Gaussian),
+        of target and mask both blurred, where clipped neighbours say nothing."""
+        mask, background = self.mask, self.background
+        if blur == 0:
+            lo, hi = self.intervals(pixels)
+        else:
+            smooth = _blurred(self.levels, blur).reshape(-1, self.channels)[pixels]
+            unsafe = ndimage.gaussian_filter(self.clipped().astype(np.float32), blur) > 0.01
+            unsafe = unsafe.reshape(-1)[pixels, None]
+            lo = np.where(unsafe, -np.inf, smooth - max(self.half, 0.5)).astype(np.float32)
+            hi = np.where(unsafe, np.inf, smooth + max(self.half, 0.5)).astype(np.float32)
+            mask = _blurred(mask, blur * mask.shape[0] / self.size[0])
+            background = None if background is None else _blurred(background, blur)
+        return Observation(
+            jnp.asarray(mask),
+            None if background is None else jnp.asarray(background),
+            jnp.asarray(pixels, jnp.int32),
+            jnp.asarray(lo.reshape(-1)),
+            jnp.asarray(hi.reshape(-1)),
+            self.size,
+            self.channels,
+            self.transfer,
+        )
+
+    def informative(self, count: int, seed: int) -> np.ndarray:
+        """Sorted indices of ``count`` valid pixels: half at random, half where the target varies,
+        since flat areas say the same thing over and over."""
+        candidates = np.flatnonzero(self.valid)
+        if len(candidates) <= count:
+            return candidates
+        rng = np.random.default_rng(seed)
+        even = rng.permutation(candidates)[: count // 2]
+        grey = np.minimum(self.levels.mean(-1), LEVELS - 1)
+        # Differences over a few pixels see slopes that single levels hide.
+        scale = max(1.0, max(self.size) / 256)
+        slope = np.hypot(*np.gradient(ndimage.gaussian_filter(grey, scale)))
+        chance = slope.reshape(-1)[candidates].astype(np.float64)
+        chance[np.isin(candidates, even)] = 0
+        chance[self.clipped().reshape(-1)[candidates]] = 0
+        if np.count_nonzero(chance) < count - len(even):
+            return np.sort(rng.permutation(candidates)[:count])
+        odd = rng.choice(candidates, count - len(even), replace=False, p=chance / chance.sum())
+        return np.sort(np.concatenate([even, odd]))
+
+
+def grey(image: np.ndarray) -> np.ndarray:
+    """(h, w) mean of the channels."""
+    return image if image.ndim == 2 else image.mean(-1)
+
+
+def _grey(image: np.ndarray) -> tuple[np.ndarray, bool]:
+    """The image without channels where they agree, and whether they do."""
+    if image.ndim == 2:
+        return image, True
+    if (image == image[..., :1]).all():
+        return image[..., 0], True
+    return image, False
+
+
+def _blurred(image: np.ndarray, sigma: float) -> np.ndarray:
+    axes = (sigma, sigma) + (0,) * (image.ndim - 2)
+    return ndimage.gaussian_filter(image, axes, mode="nearest")
+
+

@@ -1,0 +1,56 @@
+"""The parameters of a god-ray effect: one table of names, symbols, units, bounds and meanings.
+
+The names are those of the shaders (Mitchell, GPU Gems 3, chapter 13). Lights after the first are
+``light2_x``, ``light2_y``, ``light3_x``, ...
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from math import inf
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One row of the table. ``lower`` and ``upper`` are inclusive bounds in ``unit``."""
+
+    name: str
+    symbol: str
+    unit: str
+    lower: float
+    upper: float
+    meaning: str
+
+
+SCATTERING = (
+    Parameter("exposure", "E", "1", 0.0, inf, "scale of the whole light pass"),
+    Parameter("decay", "d", "1 per tap", 0.0, 1.0, "each tap weighs this much of the one before it"),
+    Parameter("density", "rho", "of the ray", 0.0, 1.0, "how far towards the light the taps reach"),
+    Parameter("weight", "w", "1", 0.0, inf, "what a tap weighs against the pixel's own value"),
+)
+
+
+def light_parameters(lights: int) -> tuple[Parameter, ...]:
+    """The rows of ``lights`` lights: u to the right, v up, (0, 0) the bottom-left corner."""
+    rows = []
+    for i in range(lights):
+        stem = "light" if i == 0 else f"light{i + 1}"
+        which = "the light" if lights == 1 else f"light {i + 1}"
+        for axis, symbol, way in (("x", "u", "to the right"), ("y", "v", "up")):
+            rows.append(
+                Parameter(
+                    f"{stem}_{axis}", symbol, "of the image", -inf, inf, f"{which}, {way} from the left bottom corner"
+                )
+            )
+    return tuple(rows)
+
+
+def table(lights: int = 1) -> dict[str, Parameter]:
+    """All parameters of an effect with ``lights`` lights, by name, in the order of reports."""
+    return {p.name: p for p in SCATTERING + light_parameters(lights)}
+
+
+def is_light(name: str) -> bool:
+    """Whether ``name`` is a light's coordinate."""
+    return re.fullmatch(r"light\d*_[xy]", name) is not None

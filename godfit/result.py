@@ -1,0 +1,101 @@
+"""What a fit found: values, errors, what is left open, and the pictures that go with them."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from godfit.image import encode
+from godfit.models import Mitchell
+from godfit.observation import LEVELS, Picture
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """A parameter's value; ``stderr`` is None where it is fixed or cannot be known."""
+
+    value: float
+    stderr: float | None
+    fixed: bool = False
+    at_bound: bool = False
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FitResult:
+    """What the picture says. Arrays are (h, w) or (h, w, 3); levels are 8-bit levels.
+
+    ``covariance`` is that of the parameters in the order of ``params`` (NaN where held);
+    ``correlations`` keeps the pairs above 0.1 in size, largest first; ``undetermined`` names in
+    words what the picture leaves open. ``noise_levels`` is the standard deviation of the noise
+    before rounding.
+    """
+
+    converged: bool
+    message: str
+    model: Mitchell
+    params: dict[str, Estimate]
+    covariance: np.ndarray
+    correlations: dict[str, float]
+    undetermined: tuple[str, ...]
+    notes: tuple[str, ...]
+    noise_levels: float
+    rmse_levels: float
+    psnr_db: float
+    pixels: int
+    pixels_clipped: int
+    log_likelihood: float
+    timing_s: dict[str, float]
+    picture: Picture
+    inputs: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
+
+    def render(self) -> np.ndarray:
+        """The fitted image, linear, clamped to [0, 1]; shaped like the target."""
+        picture = self.picture
+        image = _render(self.model, picture.mask, picture.background, picture.size)
+        image = np.broadcast_to(np.atleast_3d(np.asarray(image)), picture.levels.shape)
+        return np.clip(image if image.shape[-1] == 3 else image[..., 0], 0, 1)
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Fitted minus target in levels, both clamped to the scale, NaN where ignored."""
+        fitted = np.asarray(encode(self.render(), self.picture.transfer)) * np.float32(LEVELS)
+        residual = np.atleast_3d(fitted) - self.picture.levels
+        residual[~self.picture.valid] = np.nan
+        return residual if residual.shape[-1] == 3 else residual[..., 0]
+
+    def summary(self) -> str:
+        """The table that the command line prints, as plain text."""
+        from godfit.report import summary
+
+        return summary(self)
+
+    def plot(self) -> Figure:
+        """A matplotlib figure: target, fitted, residual, parameters."""
+        from godfit.report import plot
+
+        return plot(self)
+
+    def save(self, folder: str | os.PathLike[str]) -> None:
+        """Write fit.json, fit.png and render.png into ``folder``; raises OSError."""
+        from godfit.report import save
+
+        save(self, folder)
+
+    def _repr_html_(self) -> str:
+        from godfit.report import html
+
+        return html(self)
+
+
+@eqx.filter_jit
+def _render(model, mask, background, size):
+    mask = jnp.asarray(mask)
+    return model(mask, None if background is None else jnp.asarray(background), size=size)

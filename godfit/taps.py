@@ -1,0 +1,196 @@
+"""Shader conventions: (exposure, decay, density, weight, samples) -> taps.
+
+Every god-ray shader in use evaluates, for a pixel x and a light l in texture coordinates,
+
+    out(x) = c_0 M(x) + sum_{k=1..K} c_k M(x + t_k (l - x))
+
+with its own c and t (Mitchell, GPU Gems 3, ch. 13, listing 13-1, and its descendants). In all of
+them c_k is a geometric and t_k an arithmetic sequence, so five numbers say everything: that is
+what makes four sums enough for every derivative (see ``godfit.radial``).
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Scalar = Float[Array, ""] | float
+
+
+class Taps(eqx.Module):
+    """Taps c_k = first * ratio**(k-1) at t_k = k * step for k = 1..count, and c_0 = own at t_0 = 0.
+
+    ``unit`` says what ``step`` is measured in: ``"ray"`` is a fraction of the way from the pixel
+    to the light (0 at the pixel, 1 at the light); ``"uv"`` is a distance in texture coordinates,
+    and there taps beyond the light count nothing.
+    """
+
+    own: Scalar
+    first: Scalar
+    ratio: Scalar
+    step: Scalar
+    count: int = eqx.field(static=True)
+    unit: Literal["ray", "uv"] = eqx.field(static=True, default="ray")
+
+    @property
+    def c(self) -> Float[Array, " count"]:
+        """Weights c_1..c_K."""
+        return self.first * jnp.asarray(self.ratio) ** jnp.arange(self.count)
+
+    @property
+    def t(self) -> Float[Array, " count"]:
+        """Positions t_1..t_K in ``unit``."""
+        return jnp.asarray(self.step) * jnp.arange(1, self.count + 1)
+
+    @property
+    def total(self) -> Float[Array, ""]:
+        """c_0 + sum c_k: what the sum makes of a mask that is 1 everywhere."""
+        return self.own + self.c.sum()
+
+
+TapsFunction = Callable[[Scalar, Scalar, Scalar, Scalar, int], tuple[Taps, ...]]
+
+
+@dataclass(frozen=True)
+class Convention:
+    """What one shader does with its parameters.
+
+    ``taps`` maps (exposure, decay, density, weight, samples) to one ``Taps`` for each pass; the
+    passes run one after another. A ``complement`` convention runs them on 1 - M and shows
+    exposure * (1 - result); its taps hold no exposure. ``blend`` is how the light pass L goes onto
+    the background B: ``"add"`` is background_gain * B + L, ``"screen"`` is B + L - B L.
+    """
+
+    name: str
+    formula: str
+    taps: TapsFunction
+    defaults: dict[str, float] = field(default_factory=dict)
+    parameters: tuple[str, ...] = ("exposure", "decay", "density", "weight")
+    blend: Literal["add", "screen"] = "add"
+    background_gain: float = 1.0
+    complement: bool = False
+    remarks: str = ""
+
+    @property
+    def samples(self) -> int:
+        """The shader's own number of samples (100 where none was published)."""
+        return int(self.defaults.get("samples", 100))
+
+    @property
+    def own_pixel(self) -> bool:
+        """Whether the pixel's own value has a tap: without one, only exposure*weight matters."""
+        return self.complement or float(self.taps(1.0, 1.0, 1.0, 1.0, 2)[0].own) != 0.0
+
+
+def _mitchell(own: float = 1.0, drop: int = 0, order: int = 1, gain: float = 1.0) -> TapsFunction:
+    """E g (own M(x) + w sum_{i=1..n-drop} d^(i-order) M(x - i Delta)), Delta = (x - l) rho / n."""
+
+    def taps(
+        exposure: Scalar, decay: Scalar, density: Scalar, weight: Scalar, samples: int
+    ) -> tuple[Taps, ...]:
+        scale = gain * jnp.asarray(exposure)
+        first = scale * weight * jnp.asarray(decay) ** (1 - order)
+        return (Taps(own * scale, first, decay, density / samples, samples - drop),)
+
+    return taps
+
+
+def _sousa(
+    exposure: Scalar, decay: Scalar, density: Scalar, weight: Scalar, samples: int
+) -> tuple[Taps, ...]:
+    """Three passes of six box taps at fixed steps of 6^-1, 6^-2, 6^-3 in texture coordinates."""
+    return tuple(Taps(1 / 6, 1 / 6, 1.0, 6.0**-p, 5, "uv") for p in (1, 2, 3))
+
+
+def _defaults(exposure: float, decay: float, density: float, weight: float, samples: int):
+    return {
+        "exposure": exposure,
+        "decay": decay,
+        "density": density,
+        "weight": weight,
+        "samples": samples,
+    }
+
+
+CONVENTIONS: dict[str, Convention] = {
+    c.name: c
+    for c in (
+        Convention(
+            "mitchell",
+            "B + E (M + w sum_{i=1..n} d^(i-1) M_i)",
+            _mitchell(),
+            remarks="GPU Gems 3, ch. 13; no defaults published, 100 samples assumed",
+        ),
+        Convention(
+            "dawntime",
+            "B + E (M + w sum_{i=1..n-1} d^i M_i)",
+            _mitchell(drop=1, order=0),
+            _defaults(0.05, 0.99, 0.8, 0.8, 200),
+            remarks="decay before use; light pass at half resolution by default",
+        ),
+        Convention(
+            "vesper",
+            "B + E (M + w sum_{i=1..n-1} d^(i-1) M_i)",
+            _mitchell(drop=1),
+            _defaults(0.05, 0.99, 0.8, 0.8, 150),
+            remarks="decay after use; light pass at half resolution by default",
+        ),
+        Convention(
+            "article-glsl",
+            "1.1 B + .4 E (M + w sum_{i=1..n} d^(i-1) M_i)",
+            _mitchell(gain=0.4),
+            _defaults(0.2, 0.96815, 0.926, 0.58767, 100),
+            background_gain=1.1,
+        ),
+        Convention(
+            "article-hlsl",
+            "1.1 B + .4 E (M + w sum_{i=1..n} d^(i-1) M_i)",
+            _mitchell(gain=0.4),
+            _defaults(0.92, 0.97815, 0.966, 0.58767, 100),
+            background_gain=1.1,
+        ),
+        Convention(
+            "babylon",
+            "1.1 B + .4 E (M + w sum_{i=1..n} d^(i-1) M_i)",
+            _mitchell(gain=0.4),
+            _defaults(0.3, 0.96815, 0.926, 0.58767, 100),
+            background_gain=1.1,
+            remarks="VolumetricLightScatteringPostProcess",
+        ),
+        Convention(
+            "pmndrs",
+            "screen(B, E w sum_{i=1..n} d^(i-1) M_i)",
+            _mitchell(own=0.0),
+            _defaults(0.6, 0.9, 0.96, 0.4, 60),
+            blend="screen",
+            remarks="GodRaysEffect; no own-pixel tap: only exposure*weight is determined",
+        ),
+        Convention(
+            "three",
+            "B + E (1 - box_3 box_2 box_1 (1 - M)), box_p: 6 taps, step 6^-p",
+            _sousa,
+            {"exposure": 0.69, "samples": 18},
+            parameters=("exposure",),
+            complement=True,
+            remarks="Sousa, CryEngine 2; no decay, density or weight",
+        ),
+    )
+}
+
+
+def convention(name: str) -> Convention:
+    """The convention called ``name``. Raises ValueError naming the nearest for an unknown one."""
+    try:
+        return CONVENTIONS[name]
+    except KeyError:
+        near = difflib.get_close_matches(name, CONVENTIONS, n=1, cutoff=0.0)
+        raise ValueError(
+            f"shader: expected one of {', '.join(CONVENTIONS)}, got '{name}'; "
+            f"did you mean '{near[0]}'?"
+        ) from None
