@@ -86,16 +86,16 @@ def fit(
 
     say("screening")
     begun = starts(picture, model, given, keep=STARTS, seed=seed)
-    coordinates, sigma = begun[0], 1.0
+    coordinates = begun[0]
     if free.any():
         point = search.climb(picture, model, begun, free, held, seed, say)
         rough = _subset(picture, model, point.coordinates, free, held, seed, say)
-        coordinates, sigma = rough.coordinates, rough.sigma
+        coordinates = rough.coordinates
     pixels = _pixels(picture, seed)
     seen = picture.observe(pixels)
     say(f"all {len(pixels):,} pixels")
-    settled = search.settle(coordinates, model, seen, free, held, sigma)
-    at = evidence(settled, held, model, seen)
+    settled, tangent = search.settle(coordinates, model, seen, free, held)
+    at = evidence(settled, tangent, seen)
     more = undetermined(at.curvature, model.ranges(settled.coordinates), free)
     if more:
         # What is left open has wandered on noise: back to where it was held to begin with.
@@ -104,8 +104,8 @@ def fit(
         for index, _ in more:
             free[index] = False
             coordinates[index] = _held_at(model, given, coordinates, begun[0], index)
-        settled = search.settle(coordinates, model, seen, free, held, settled.sigma)
-        at = evidence(settled, held, model, seen)
+        settled, tangent = search.settle(coordinates, model, seen, free, held)
+        at = evidence(settled, tangent, seen)
     return _result(
         settled, at, picture, pixels, seen, model, free, held, used, open_, images,
         time.perf_counter() - began,
@@ -123,12 +123,12 @@ def _subset(
 ) -> search.Settled:
     """Sharp images, a few thousand pixels: noise and coordinates in turn, other dips of density."""
     seen = picture.observe(picture.informative(search.PIXELS, seed))
-    settled = search.settle(coordinates, model, seen, free, held, 0.3)
+    settled, _ = search.settle(coordinates, model, seen, free, held)
     along = list(model.parameters).index("density")
     if settled.sigma > search.EXPLAINED and free[along]:
         say("other densities")
         other = search.reseed(settled.coordinates, along, model, picture, free, held, seed)
-        other = search.settle(other.coordinates, model, seen, free, held, 0.3)
+        other, _ = search.settle(other.coordinates, model, seen, free, held)
         if other.log_likelihood > settled.log_likelihood:
             settled = other
     return settled

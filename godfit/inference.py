@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from godfit.likelihood import interval
-from godfit.models import AbstractModel
 from godfit.observation import Observation
-from godfit.search import Settled
-from godfit.solver import scales
+from godfit.search import Settled, Tangent
 
 
 class Evidence(NamedTuple):
@@ -43,47 +39,27 @@ class Evidence(NamedTuple):
         return covariance
 
 
-@eqx.filter_jit
-def _evidence(
-    coordinates: Float[Array, " p"],
-    held: Float[Array, " p"],
-    scale: Float[Array, " p"],
-    model: AbstractModel,
-    seen: Observation,
-    sigma: Float[Array, ""],
-):
-    def predict(y):
-        prediction = seen.predict(model.moved(y * scale, held))
-        return prediction, prediction
-
-    jacobian, prediction = jax.jacfwd(predict, has_aux=True)(coordinates / scale)
+@jax.jit
+def _evidence(prediction, jacobian, lo, hi, sigma):
     jacobian = jacobian / sigma
-    pixel = interval((seen.lo - prediction) / sigma, (seen.hi - prediction) / sigma)
+    pixel = interval((lo - prediction) / sigma, (hi - prediction) / sigma)
     weighted = jacobian * pixel.curvature[:, None]
     scores = jacobian * pixel.slope[:, None]
-    return weighted.T @ jacobian, scores.T @ scores, scores.sum(0), prediction, pixel.slope
+    return weighted.T @ jacobian, scores.T @ scores, scores.sum(0), pixel.slope
 
 
-def evidence(
-    settled: Settled, held: np.ndarray, model: AbstractModel, seen: Observation
-) -> Evidence:
+def evidence(settled: Settled, tangent: Tangent, seen: Observation) -> Evidence:
     """The evidence at a settled point."""
-    # Worked out in scaled coordinates, where float32 holds all entries alike.
-    scale = scales(settled.coordinates)
-    curvature, scores, gradient, prediction, score = _evidence(
-        jnp.asarray(settled.coordinates),
-        jnp.asarray(held),
-        jnp.asarray(scale),
-        model,
-        seen,
-        jnp.float32(settled.sigma),
+    curvature, scores, gradient, score = _evidence(
+        tangent.prediction, tangent.jacobian, seen.lo, seen.hi, jnp.float32(settled.sigma)
     )
-    size = np.outer(scale, scale).astype(np.float64)
+    # Summed in scaled coordinates, where float32 holds all entries alike.
+    size = np.outer(tangent.scale, tangent.scale).astype(np.float64)
     return Evidence(
         np.asarray(curvature, np.float64) / size,
         np.asarray(scores, np.float64) / size,
-        np.asarray(gradient, np.float64) / scale,
-        np.asarray(prediction),
+        np.asarray(gradient, np.float64) / tangent.scale,
+        np.asarray(tangent.prediction),
         np.asarray(score),
     )
 

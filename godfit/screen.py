@@ -24,22 +24,27 @@ from godfit.radial.geometry import to_pixels
 from godfit.radial.reference import bilinear
 
 SIZE = 64
-STEPS = 64
-POINTS = 1024
+STEPS = 48
+POINTS = 512
 KAPPAS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 7.0, 11.0, 18.0, 30.0)
 DENSITIES = (0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.0)
 
 
-def light_grid() -> np.ndarray:
-    """(lights, 2): a lattice over the image, rings around it, farther apart the farther out."""
-    inside = np.linspace(0.0, 1.0, 9)
+def light_grid(target: np.ndarray, seed: int) -> np.ndarray:
+    """(lights, 2): a lattice over the image, rings around it, farther apart the farther out, and
+    places drawn where the small ``target`` is bright."""
+    inside = np.linspace(0.0, 1.0, 13)
     lattice = np.array(list(itertools.product(inside, inside)))
     angle = np.arange(16) * np.pi / 8
     circle = 0.5 * np.stack([np.cos(angle), np.sin(angle)], -1)
-    rings = [0.5 + circle * r for r in (1.5, 2.0, 3.0, 4.5, 7.0)]
-    everywhere = np.concatenate([lattice, *rings])
-    outside = (np.abs(everywhere[81:] - 0.5) > 0.51).any(1)
-    return np.concatenate([lattice, everywhere[81:][outside]])
+    rings = np.concatenate([0.5 + circle * r for r in (1.3, 1.6, 2.0, 3.0, 4.5, 7.0)])
+    rings = rings[(np.abs(rings - 0.5) > 0.51).any(1)]
+    h, w = target.shape
+    bright = np.maximum(target, 0).ravel().astype(np.float64) ** 2 + 1e-12
+    rng = np.random.default_rng(seed)
+    drawn = rng.choice(h * w, min(64, h * w), replace=False, p=bright / bright.sum())
+    spots = np.stack([(drawn % w + 0.5) / w, 1 - (drawn // w + 0.5) / h], -1)
+    return np.concatenate([lattice, rings, spots])
 
 
 def shrink(image: np.ndarray, size: tuple[int, int] = (SIZE, SIZE)) -> np.ndarray:
@@ -132,7 +137,7 @@ def starts(
         -1,
     ).astype(np.float32)
     goal, trust = (jnp.asarray(z.ravel()[chosen], jnp.float32) for z in (target, weight))
-    places, required = _places(given, lights)
+    places, required = _places(light_grid(target, seed), given, lights)
     if shader.complement:
         shapes, along, scale, own = np.ones((1, 2)), np.ones((1, 1), np.float32), 1.0, 0 * goal
         rays = _complement_rays(jnp.asarray(mask), jnp.asarray(places), jnp.asarray(at), model)
@@ -190,9 +195,10 @@ def _light_pass(picture: Picture, model: Mitchell) -> tuple[np.ndarray, np.ndarr
     return shrink(light.mean(-1)), (trust > 0.99).astype(np.float32)
 
 
-def _places(given: dict[str, float], lights: int) -> tuple[np.ndarray, tuple[int, ...]]:
+def _places(
+    places: np.ndarray, given: dict[str, float], lights: int
+) -> tuple[np.ndarray, tuple[int, ...]]:
     """Candidate places for a light, and the indices of those that must be taken."""
-    places = light_grid()
     required: list[np.ndarray] = []
     for i in range(lights):
         stem = "light" if i == 0 else f"light{i + 1}"

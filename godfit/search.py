@@ -20,56 +20,54 @@ from jaxtyping import Array, Float
 from godfit.likelihood import deviance_residuals, log_likelihood
 from godfit.models import AbstractModel
 from godfit.observation import Observation, Picture
-from godfit.solver import Point, solve
+from godfit.solver import Point, linearise, scales, solve, solve_tangent
 
+DEBUG=0
 PIXELS = 2048
 # Blur (as a share of the longer side), starts kept, sigma in levels.
 LADDER = ((1 / 64, 4, 4.0), (1 / 128, 2, 2.0), (1 / 256, 1, 1.0), (1 / 512, 1, 1.0))
 # Noise below this many levels means that even the rounding of every pixel is explained.
 EXPLAINED = 0.05
 # Levels, from well under the least that float32 leaves to the coarsest that means anything.
+WALLS = 1 << 15
+SIGMA_VALUES = 1 << 15
 SIGMAS = np.geomspace(0.005, 81.92, 15).astype(np.float32)
 
 
-@eqx.filter_jit
+@jax.jit
 def _log_likelihoods(
-    coordinates: Float[Array, " p"],
-    held: Float[Array, " p"],
-    model: AbstractModel,
-    seen: Observation,
+    prediction: Float[Array, " m"],
+    lo: Float[Array, " m"],
+    hi: Float[Array, " m"],
     sigmas: Float[Array, " s"],
 ) -> Float[Array, " s"]:
-    prediction = seen.predict(model.moved(coordinates, held))
-    return jax.lax.map(lambda s: log_likelihood(prediction, seen.lo, seen.hi, s).sum(), sigmas)
+    return jax.lax.map(lambda s: log_likelihood(prediction, lo, hi, s).sum(), sigmas)
 
 
-def best_sigma(
-    coordinates: np.ndarray, held: np.ndarray, model: AbstractModel, seen: Observation
-) -> tuple[float, float]:
-    """Noise in levels that makes the pixels likeliest at ``coordinates``, and their log-likelihood.
+def best_sigma(prediction: Float[Array, " m"], seen: Observation) -> tuple[float, float]:
+    """Noise in levels that makes the pixels likeliest, and their log-likelihood.
 
-    The grid of sigmas is refined by a parabola in log sigma about the best, twice.
+    A grid of sigmas is refined by finer ones about its best, on a part of the pixels that is
+    enough to know sigma to a percent.
     """
-
-    def evaluate(sigmas):
-        return np.asarray(
-            _log_likelihoods(
-                jnp.asarray(coordinates), jnp.asarray(held), model, seen, jnp.asarray(sigmas)
-            ),
-            np.float64,
-        )
-
-    sigmas = SIGMAS
-    values = evaluate(sigmas)
-    ratio = SIGMAS[1] / SIGMAS[0]
-    for _ in range(2):
-        best = int(np.nanargmax(values))
+    values = prediction, seen.lo, seen.hi
+    if prediction.shape[0] > SIGMA_VALUES:
+        # Drawn at random: a regular stride would fall into step with the rows.
+        part = np.random.default_rng(0).integers(0, prediction.shape[0], SIGMA_VALUES)
+        values = tuple(z[part] for z in values)
+    sigmas, ratio = SIGMAS, SIGMAS[1] / SIGMAS[0]
+    for _ in range(3):
+        best = sigmas[int(np.nanargmax(_log_likelihoods(*values, sigmas)))]
         ratio **= 0.25
-        sigmas = (sigmas[best] * ratio ** np.linspace(-7, 7, len(SIGMAS))).astype(np.float32)
-        sigmas = np.clip(sigmas, SIGMAS[0], SIGMAS[-1])
-        values = evaluate(sigmas)
-    best = int(np.nanargmax(values))
-    return float(sigmas[best]), float(values[best])
+        sigmas = best * ratio ** np.linspace(-7, 7, len(SIGMAS))
+        sigmas = np.clip(sigmas, SIGMAS[0], SIGMAS[-1]).astype(np.float32)
+    return float(best), log_likelihood_at(prediction, seen, float(best))
+
+
+def log_likelihood_at(prediction: Float[Array, " m"], seen: Observation, sigma: float) -> float:
+    """Log-likelihood of all pixels."""
+    sigmas = jnp.full(1, sigma, jnp.float32)
+    return float(_log_likelihoods(prediction, seen.lo, seen.hi, sigmas)[0])
 
 
 def climb(
@@ -87,17 +85,25 @@ def climb(
     for share, keep, sigma in LADDER:
         seen = picture.observe(pixels, share * max(picture.size))
         report(f"{len(points)} starts, blur of {share * max(picture.size):.1f} pixels")
-        points = [solve(p.coordinates, free, held, model, seen, sigma) for p in points]
+        points = [
+            solve(p.coordinates, free, held, model, seen, sigma, bounded=False) for p in points
+        ]
         points.sort(key=lambda p: p.cost)
         points = _distinct(points)[:keep]
-    return points[0]
+    seen = picture.observe(pixels)
+    return solve(points[0].coordinates, free, held, model, seen, 0.3)
 
 
 def _distinct(points: list[Point]) -> list[Point]:
-    """Points that have not run into a better one."""
+    """Points, cheapest first, that have not run into a cheaper one; where the picture leaves a
+    coordinate open, such points agree in cost and in the places they put the light and density."""
     kept: list[Point] = []
     for p in points:
-        if not any(np.allclose(p.coordinates, q.coordinates, rtol=0.02, atol=0.01) for q in kept):
+        if not any(
+            abs(p.cost - q.cost) < 0.01 * q.cost
+            and np.allclose(p.coordinates[2:], q.coordinates[2:], rtol=0.02, atol=0.01)
+            for q in kept
+        ):
             kept.append(p)
     return kept
 
@@ -111,27 +117,84 @@ class Settled(NamedTuple):
     quiet: bool
 
 
+class Tangent(NamedTuple):
+    """The model about a point: levels (m,), and derivatives (m, p) by coordinates over ``scale``."""
+
+    prediction: Float[Array, " m"]
+    jacobian: Float[Array, "m p"]
+    scale: np.ndarray
+
+
 def settle(
     start: np.ndarray,
     model: AbstractModel,
     seen: Observation,
     free: np.ndarray,
     held: np.ndarray,
-    sigma: float,
     *,
-    rounds: int = 8,
-) -> Settled:
-    """Coordinates and noise in turn, until the log-likelihood gains less than 1/2."""
-    best = Settled(start, sigma, -np.inf, False)
+    rounds: int = 10,
+) -> tuple[Settled, Tangent]:
+    """Coordinates and noise that suit each other, until the log-likelihood gains less than 1/2.
+
+    The pixels are rendered once for each round. In between, the likelihood, which is far from
+    quadratic when sigma is small, is solved on the tangent, with sigma and coordinates in turn.
+    """
+
+    def render(z):
+        scale = scales(z)
+        return Tangent(*linearise(z, held, scale, model, seen), scale)
+
+    tangent = render(start)
+    sigma, likelihood = best_sigma(tangent.prediction, seen)
+    best = Settled(start, sigma, likelihood, False)
+    part = 1.0
     for _ in range(rounds):
-        point = solve(best.coordinates, free, held, model, seen, best.sigma, release=True)
-        sigma, likelihood = best_sigma(point.coordinates, held, model, seen)
+        z = _aim(best, tangent, model, seen, free)
+        z = best.coordinates + np.float32(part) * (z - best.coordinates)
+        there = render(z)
+        sigma, likelihood = best_sigma(there.prediction, seen)
         gained = likelihood - best.log_likelihood
+        if DEBUG:
+            print("   settle", part, gained, sigma, z - best.coordinates)
         if gained > 0:
-            best = Settled(point.coordinates, sigma, likelihood, False)
-        if gained < 0.5:
-            return best._replace(quiet=True)
-    return best
+            best, tangent = Settled(z, sigma, likelihood, False), there
+            part = min(1.0, 2 * part)
+        else:
+            # Over a kink of the bilinear mask the tangent promises too much.
+            part /= 4
+        if abs(gained) < 0.5:
+            return best._replace(quiet=True), tangent
+    return best, tangent
+
+
+def _aim(
+    at: Settled, tangent: Tangent, model: AbstractModel, seen: Observation, free: np.ndarray
+) -> np.ndarray:
+    """Where the tangent's likelihood is largest."""
+    z, sigma = at.coordinates, at.sigma
+    for _ in range(5):
+        rows = _near_walls(tangent.prediction, seen) if sigma < EXPLAINED else slice(None)
+        prediction, jacobian = tangent.prediction[rows], tangent.jacobian[rows]
+        lo, hi = seen.lo[rows], seen.hi[rows]
+        shift = (z - at.coordinates) / tangent.scale
+        z = solve_tangent(
+            z, free, model, tangent.scale, prediction + jacobian @ shift, jacobian, lo, hi, sigma
+        ).coordinates
+        shift = (z - at.coordinates) / tangent.scale
+        before = sigma
+        sigma = best_sigma(tangent.prediction + tangent.jacobian @ shift, seen)[0]
+        if abs(sigma - before) < 0.05 * before:
+            break
+    return z
+
+
+def _near_walls(prediction: Float[Array, " m"], seen: Observation) -> Array | slice:
+    """The values nearest to the ends of their intervals. Where rounding is all the noise there is,
+    the others are far inside and have no say."""
+    if prediction.shape[0] <= WALLS:
+        return slice(None)
+    slack = np.asarray(jnp.minimum(prediction - seen.lo, seen.hi - prediction))
+    return jnp.asarray(np.sort(np.argpartition(slack, WALLS)[:WALLS]))
 
 
 @eqx.filter_jit

@@ -12,13 +12,15 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
-from godfit.likelihood import deviance_residuals
+from godfit.likelihood import deviance_residuals, interval
 from godfit.models import AbstractModel
 from godfit.observation import Observation
 
 MAX_ACTIVE_SET_ROUNDS = 6
-# One number for all stages, because it is part of what is compiled.
 MAX_STEPS = 12
+# On a tangent steps are cheap, and where rounding is all the noise there is they are many: the
+# likelihood is flat inside the intervals and steep outside.
+MAX_TANGENT_STEPS = 100
 
 
 class Point(NamedTuple):
@@ -56,34 +58,57 @@ def _least_squares(
     # between the gradient and the Newton step instead of leaping.
     share = seen.lo.shape[0] ** -0.5
 
+    return _minimise(residuals, start, free, scale, share, MAX_STEPS)
+
+
+def _minimise(residuals, start, free, scale, share, max_steps):
     solver = optx.LevenbergMarquardt(rtol=1e-5, atol=1e-6, linear_solver=lx.QR())
     solution = optx.least_squares(
-        residuals, solver, start / scale, max_steps=MAX_STEPS, throw=False
+        residuals, solver, start / scale, max_steps=max_steps, throw=False
     )
     coordinates = jnp.where(free, solution.value * scale, start)
-    info = solution.state.f_info
-    cost = 0.5 * jnp.sum((info.residual / share) ** 2)
+    cost = 0.5 * jnp.sum((solution.state.f_info.residual / share) ** 2)
     settled = solution.result == optx.RESULTS.successful
     return coordinates, cost, settled, solution.stats["num_steps"]
 
 
 @eqx.filter_jit
-def gradient(
+def linearise(
     coordinates: Float[Array, " p"],
     held: Float[Array, " p"],
+    scale: Float[Array, " p"],
     model: AbstractModel,
     seen: Observation,
+) -> tuple[Float[Array, " m"], Float[Array, "m p"]]:
+    """Predicted levels and their derivatives by the coordinates divided by ``scale``."""
+
+    def predict(y):
+        prediction = seen.predict(model.moved(y * scale, held))
+        return prediction, prediction
+
+    jacobian, prediction = jax.jacfwd(predict, has_aux=True)(coordinates / scale)
+    return prediction, jacobian
+
+
+@eqx.filter_jit
+def _linear_least_squares(
+    start: Float[Array, " p"],
+    free: Bool[Array, " p"],
+    scale: Float[Array, " p"],
+    prediction: Float[Array, " m"],
+    jacobian: Float[Array, "m p"],
+    lo: Float[Array, " m"],
+    hi: Float[Array, " m"],
     sigma: Float[Array, ""],
-) -> Float[Array, " p"]:
-    """Derivative of half the deviance by every coordinate."""
+):
+    """The solve with the model replaced by its tangent: the likelihood alone is nonlinear."""
+    share = lo.shape[0] ** -0.5
 
-    def cost(z):
-        return 0.5 * jnp.sum(
-            deviance_residuals(seen.predict(model.moved(z, held)), seen.lo, seen.hi, sigma) ** 2
-        )
+    def residuals(y, _):
+        step = jnp.where(free, y - start / scale, 0.0)
+        return share * deviance_residuals(prediction + jacobian @ step, lo, hi, sigma)
 
-    # Forward mode: the four sums give all columns, and reverse mode would keep every tap.
-    return jax.jacfwd(cost)(coordinates)
+    return _minimise(residuals, start, free, scale, share, MAX_TANGENT_STEPS)
 
 
 def solve(
@@ -94,28 +119,72 @@ def solve(
     seen: Observation,
     sigma: float,
     *,
-    release: bool = False,
+    bounded: bool = True,
 ) -> Point:
-    """Minimise the deviance over the ``free`` coordinates, inside the model's bounds.
+    """Minimise the deviance over the ``free`` coordinates, inside the model's bounds or, far from
+    the answer, without them: the way there may lead outside, where the sum is as smooth."""
 
-    A coordinate that a solve takes out of its bounds is put on the bound and kept there for the
-    next one (a true value can lie *on* a bound, which a sigmoid could never reach); with
-    ``release`` it is let go again if the cost falls inwards.
+    def run(z, moving):
+        return _least_squares(
+            jnp.asarray(z), moving, scales(z), held, model, seen, jnp.float32(sigma)
+        )
+
+    if not bounded:
+        value, cost, settled, steps = run(start, free)
+        sound = np.isfinite(value).all() and np.isfinite(cost)
+        return Point(np.asarray(value), float(cost) if sound else np.inf, bool(settled), int(steps))
+
+    def slope(z):
+        prediction, jacobian = linearise(z, held, np.ones_like(z), model, seen)
+        return _slope(prediction, jacobian, seen.lo, seen.hi, jnp.float32(sigma))
+
+    return _inside(start, free, model, run, slope)
+
+
+def solve_tangent(
+    start: np.ndarray,
+    free: np.ndarray,
+    model: AbstractModel,
+    scale: np.ndarray,
+    prediction: Float[Array, " m"],
+    jacobian: Float[Array, "m p"],
+    lo: Float[Array, " m"],
+    hi: Float[Array, " m"],
+    sigma: float,
+) -> Point:
+    """``solve`` on the tangent at ``start``, given by ``linearise``; a small part of its cost."""
+
+    def run(z, moving):
+        shifted = prediction + jacobian @ ((z - start) / scale)
+        return _linear_least_squares(
+            jnp.asarray(z), moving, scale, shifted, jacobian, lo, hi, jnp.float32(sigma)
+        )
+
+    def slope(z):
+        shifted = prediction + jacobian @ ((z - start) / scale)
+        return _slope(shifted, jacobian, lo, hi, jnp.float32(sigma)) / scale
+
+    return _inside(start, free, model, run, slope)
+
+
+@jax.jit
+def _slope(prediction, jacobian, lo, hi, sigma):
+    pixel = interval((lo - prediction) / sigma, (hi - prediction) / sigma)
+    return -(pixel.slope / sigma) @ jacobian
+
+
+def _inside(start, free, model, run, slope) -> Point:
+    """``run`` again and again with fewer or more coordinates moving, until all are in bounds.
+
+    A coordinate that a run takes out of its bounds is put on the bound and stays there for the next
+    one: a true value can lie *on* a bound, which a sigmoid could never reach.
     """
     lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
     z = np.clip(np.asarray(start, np.float32), lower, upper)
     moving = free.copy()
     steps = 0
     for _ in range(MAX_ACTIVE_SET_ROUNDS):
-        value, cost, settled, taken = _least_squares(
-            jnp.asarray(z),
-            jnp.asarray(moving),
-            jnp.asarray(scales(z)),
-            jnp.asarray(held),
-            model,
-            seen,
-            jnp.float32(sigma),
-        )
+        value, cost, settled, taken = run(z, moving)
         steps += int(taken)
         moved = np.asarray(value)
         if not np.isfinite(moved).all() or not np.isfinite(float(cost)):
@@ -123,18 +192,16 @@ def solve(
         z = np.clip(moved, lower, upper)
         out = moving & (z != moved)
         if out.any():
-            moving &= ~out
+            moving = moving & ~out
             continue
         stuck = free & ~moving
-        if not (release and stuck.any()):
+        if slope is None or not stuck.any():
             break
-        slope = np.asarray(
-            gradient(jnp.asarray(z), jnp.asarray(held), model, seen, jnp.float32(sigma))
-        )
-        inward = stuck & (((z <= lower) & (slope < 0)) | ((z >= upper) & (slope > 0)))
+        falls = np.asarray(slope(z))
+        inward = stuck & (((z <= lower) & (falls < 0)) | ((z >= upper) & (falls > 0)))
         if not inward.any():
             break
         # Released ones get no second chance to leave: that would go round for ever.
-        moving |= inward
-        release = False
+        moving = moving | inward
+        slope = None
     return Point(z, float(cost), bool(settled), steps)
