@@ -22,6 +22,10 @@ from godfit.screen import starts
 STARTS = 8
 # More values than this say nothing new, and their derivatives would fill the memory.
 MAX_VALUES = 1 << 21
+# Log-likelihood on the subset by which a point may fall behind and still be tried on all pixels.
+DOUBT = 8.0
+CANDIDATES = 3
+MAX_DIPS = 5
 # Correlation of neighbouring residuals above which noise is no explanation.
 STRUCTURE = 0.3
 
@@ -86,15 +90,18 @@ def fit(
 
     say("screening")
     begun = starts(picture, model, given, keep=STARTS, seed=seed)
-    coordinates = begun[0]
+    candidates = [begun[0]]
     if free.any():
-        point = search.climb(picture, model, begun, free, held, seed, say)
-        rough = _subset(picture, model, point.coordinates, free, held, seed, say)
-        coordinates = rough.coordinates
+        coordinates = search.climb(picture, model, begun, free, held, seed, say).coordinates
+        candidates = _subset(picture, model, coordinates, free, held, seed, say)
     pixels = _pixels(picture, seed)
     seen = picture.observe(pixels)
     say(f"all {len(pixels):,} pixels")
-    settled, tangent = search.settle(coordinates, model, seen, free, held)
+    settled, tangent = max(
+        (search.settle(z, model, seen, free, held) for z in candidates),
+        key=lambda found: found[0].log_likelihood,
+    )
+    settled, tangent = _next_dips(settled, tangent, model, seen, free, held)
     at = evidence(settled, tangent, seen)
     more = undetermined(at.curvature, model.ranges(settled.coordinates), free)
     if more:
@@ -120,18 +127,62 @@ def _subset(
     held: np.ndarray,
     seed: int,
     say: Callable[[str], None],
-) -> search.Settled:
-    """Sharp images, a few thousand pixels: noise and coordinates in turn, other dips of density."""
+) -> list[np.ndarray]:
+    """Sharp images, a few thousand pixels: the best point, and where density is in doubt, those
+    that all pixels must decide between."""
     seen = picture.observe(picture.informative(search.PIXELS, seed))
-    settled, _ = search.settle(coordinates, model, seen, free, held)
+    settled, tangent = search.settle(coordinates, model, seen, free, held)
+    along, dip, doubtful = _dips(settled, tangent, model, seen, free)
+    if not doubtful and settled.sigma < 2 * search.SIGMAS[0]:
+        return [settled.coordinates]
+    say("other densities")
+    found = search.reseed(settled, along, model, picture, free, held, seed)
+    close: list[search.Settled] = []
+    for other in found:
+        apart = all(abs(other.coordinates[along] - c.coordinates[along]) > dip / 20 for c in close)
+        if apart and other.log_likelihood > found[0].log_likelihood - DOUBT:
+            close.append(other)
+    return [c.coordinates for c in close[:CANDIDATES]]
+
+
+def _dips(
+    settled: search.Settled,
+    tangent: search.Tangent,
+    model: Mitchell,
+    seen: Observation,
+    free: np.ndarray,
+) -> tuple[int, float, bool]:
+    """Index of density, the distance between two dips of the cost in it (one band, a shift of the
+    rays' end by one tap), and whether its error is wide enough for another dip to be the right one.
+    """
     along = list(model.parameters).index("density")
-    if settled.sigma > search.EXPLAINED and free[along]:
-        say("other densities")
-        other = search.reseed(settled.coordinates, along, model, picture, free, held, seed)
-        other, _ = search.settle(other.coordinates, model, seen, free, held)
-        if other.log_likelihood > settled.log_likelihood:
-            settled = other
-    return settled
+    dip = float(settled.coordinates[along]) / model.samples
+    variance = evidence(settled, tangent, seen).covariance(free)[along, along]
+    return along, dip, bool(free[along] and variance > (dip / 20) ** 2)
+
+
+def _next_dips(
+    settled: search.Settled,
+    tangent: search.Tangent,
+    model: Mitchell,
+    seen: Observation,
+    free: np.ndarray,
+    held: np.ndarray,
+) -> tuple[search.Settled, search.Tangent]:
+    """From dip to dip, both ways, as long as the likelihood gains."""
+    along, dip, doubtful = _dips(settled, tangent, model, seen, free)
+    if not doubtful:
+        return settled, tangent
+    covariance = evidence(settled, tangent, seen).covariance(free)
+    follow = covariance[:, along] / covariance[along, along]
+    for way in (-dip, dip):
+        for _ in range(MAX_DIPS):
+            start = (settled.coordinates + way * follow).astype(np.float32)
+            other = search.settle(start, model, seen, free, held)
+            if other[0].log_likelihood <= settled.log_likelihood + 0.5:
+                break
+            settled, tangent = other
+    return settled, tangent
 
 
 def _pixels(picture: Picture, seed: int) -> np.ndarray:

@@ -22,7 +22,6 @@ from godfit.models import AbstractModel
 from godfit.observation import Observation, Picture
 from godfit.solver import Point, linearise, scales, solve, solve_tangent
 
-DEBUG=0
 PIXELS = 2048
 # Blur (as a share of the longer side), starts kept, sigma in levels.
 LADDER = ((1 / 64, 4, 4.0), (1 / 128, 2, 2.0), (1 / 256, 1, 1.0), (1 / 512, 1, 1.0))
@@ -154,8 +153,6 @@ def settle(
         there = render(z)
         sigma, likelihood = best_sigma(there.prediction, seen)
         gained = likelihood - best.log_likelihood
-        if DEBUG:
-            print("   settle", part, gained, sigma, z - best.coordinates)
         if gained > 0:
             best, tangent = Settled(z, sigma, likelihood, False), there
             part = min(1.0, 2 * part)
@@ -233,7 +230,7 @@ def _costs(
 
 
 def reseed(
-    start: np.ndarray,
+    start: Settled,
     along: int,
     model: AbstractModel,
     picture: Picture,
@@ -241,36 +238,36 @@ def reseed(
     held: np.ndarray,
     seed: int,
     *,
-    tries: int = 6,
-    sigma: float = 0.3,
-) -> Point:
-    """Walk along the valley of coordinate ``along`` and solve again from its deepest dips."""
+    tries: int = 8,
+) -> list[Settled]:
+    """Walk along the valley of coordinate ``along`` and settle anew in its deepest dips; the best
+    first, ``start`` among them."""
     pixels = picture.informative(PIXELS, seed)
     seen = picture.observe(pixels)
     smooth = picture.observe(pixels, LADDER[1][0] * max(picture.size))
     lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
+    at = start.coordinates
     follow = np.asarray(
-        _valley(
-            jnp.asarray(start), jnp.asarray(free, jnp.float32), jnp.asarray(held), along, model, smooth
-        )
+        _valley(jnp.asarray(at), free.astype(np.float32), held, along, model, smooth)
     )
-    here = start[along]
+    here = at[along]
     # Finer near by, where the dips of single bands lie; a hundredth apart over the whole range.
     near = here * (1 + np.linspace(-0.06, 0.06, 121))
     far = np.geomspace(max(lower[along], 0.05), upper[along], 200)
     values = np.sort(np.concatenate([near, far]))
     values = values[(values >= lower[along]) & (values <= upper[along])]
-    line = start + np.outer(values - here, follow).astype(np.float32)
+    line = at + np.outer(values - here, follow)
     line = np.clip(line, lower, upper).astype(np.float32)
-    costs = np.asarray(
-        _costs(jnp.asarray(line), jnp.asarray(held), model, seen, jnp.float32(sigma))
-    )
-    order = np.argsort(np.where(np.isfinite(costs), costs, np.inf))
-    chosen: list[int] = []
-    for i in order:
-        if all(abs(values[i] / values[j] - 1) > 0.002 for j in chosen):
-            chosen.append(int(i))
-        if len(chosen) == tries:
-            break
-    points = [solve(line[i], free, held, model, seen, sigma) for i in chosen]
-    return min(points, key=lambda p: p.cost)
+    # As sharp as the start is good: a blunter likelihood cannot tell the dips apart, a sharper one
+    # sees nothing of those whose bottom lies a little beside the line.
+    sigma = float(np.clip(start.sigma, 0.02, 0.3))
+    costs = np.asarray(_costs(jnp.asarray(line), held, model, seen, jnp.float32(sigma)))
+    costs = np.where(np.isfinite(costs), costs, np.inf)
+    around = np.pad(costs, 1, constant_values=np.inf)
+    dips = np.flatnonzero((costs <= around[:-2]) & (costs <= around[2:]))
+    chosen = dips[np.argsort(costs[dips])][:tries]
+    found = [start]
+    for i in chosen:
+        point = solve(line[i], free, held, model, seen, sigma)
+        found.append(settle(point.coordinates, model, seen, free, held)[0])
+    return sorted(found, key=lambda s: -s.log_likelihood)
