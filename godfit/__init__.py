@@ -1,1 +1,40 @@
-"""Reads the parameters of god rays out of images."""
+"""Reads the parameters of god rays out of images.
+
+``fit`` is the main job; ``Mitchell`` renders; ``radial_sum`` and ``Taps`` are what both stand on.
+"""
+
+from godfit.errors import InputError
+from godfit.image import Image, read_image, write_image
+
+__all__ = [
+    "CONVENTIONS",
+    "Estimate",
+    "FitResult",
+    "Image",
+    "InputError",
+    "Mitchell",
+    "Taps",
+    "fit",
+    "radial_sum",
+    "read_image",
+    "write_image",
+]
+
+_HOMES = {
+    "CONVENTIONS": "godfit.taps",
+    "Estimate": "godfit.result",
+    "FitResult": "godfit.result",
+    "Mitchell": "godfit.models",
+    "Taps": "godfit.taps",
+    "fit": "godfit.fitting",
+    "radial_sum": "godfit.radial",
+}
+
+
+def __getattr__(name: str):
+    """What needs JAX is imported when it is asked for: the command line's help is instant."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'godfit' has no attribute '{name}'")
+    import importlib
+
+    return getattr(importlib.import_module(_HOMES[name]), name)

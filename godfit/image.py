@@ -20,16 +20,11 @@ from typing import Any
 
 import numpy as np
 
+from godfit.errors import InputError
+
 TRANSFERS = ("none", "srgb")
 FORMATS = "PNG, JPEG, TIFF, EXR or .npy"
 MAX_PIXELS = 2**29  # above this a header is taken for damage or a decompression bomb
-
-
-class ImageError(ValueError):
-    """One line: what was expected, what was got, what to do."""
-
-    def __init__(self, message: str) -> None:
-        super().__init__(" ".join(str(message).splitlines()))
 
 
 @dataclass(frozen=True, eq=False)  # == on arrays has no single truth value
@@ -54,7 +49,7 @@ class Image:
 def decode(x: Any, transfer: str) -> Any:
     """Encoded -> linear (IEC 61966-2-1 for "srgb"), elementwise on a numpy or jax float array.
 
-    Below 0 the linear segment goes on, above 1 the power. Raises ImageError for an unknown
+    Below 0 the linear segment goes on, above 1 the power. Raises InputError for an unknown
     transfer.
     """
     if _known(transfer) == "none":
@@ -77,7 +72,7 @@ def encode(x: Any, transfer: str) -> Any:
 def read_image(path: str | os.PathLike[str], *, transfer: str = "none") -> Image:
     """Read a PNG, JPEG, TIFF, EXR or .npy file; the transfer is undone, alpha is dropped.
 
-    Raises ImageError, naming the path, for anything which cannot be read whole and exactly.
+    Raises InputError, naming the path, for anything which cannot be read whole and exactly.
     """
     _known(transfer)
     name = os.fsdecode(path)
@@ -86,7 +81,7 @@ def read_image(path: str | os.PathLike[str], *, transfer: str = "none") -> Image
             data = file.read()
     except (OSError, ValueError) as error:  # ValueError: a null character in the path
         reason = getattr(error, "strerror", None) or error
-        raise ImageError(f"{name!r}: cannot be read ({reason}); expected {FORMATS}") from error
+        raise InputError(f"{name!r}: cannot be read ({reason}); expected {FORMATS}") from error
     kind, reader = _recognise(data, name)
     digest, notes = hashlib.sha256(data).hexdigest(), []
     try:
@@ -95,7 +90,7 @@ def read_image(path: str | os.PathLike[str], *, transfer: str = "none") -> Image
         del data  # up to a third of the memory in use
         values, quantum = _linear(codes, transfer, notes)
     except Exception as error:
-        raise ImageError(f"{name!r} ({kind}): {str(error) or type(error).__name__}") from error
+        raise InputError(f"{name!r} ({kind}): {str(error) or type(error).__name__}") from error
     return Image(values, quantum, transfer, name, digest, tuple(notes))
 
 
@@ -105,19 +100,19 @@ def write_image(
     """Write linear (h, w) or (h, w, 3) values to .png (8 or 16 bits) or .npy, whole or not at all.
 
     PNG: encoded with the transfer, clipped to [0, 1], rounded half up to the nearest level.
-    .npy: float32, linear, whatever the transfer. Raises ImageError.
+    .npy: float32, linear, whatever the transfer. Raises InputError.
     """
     _known(transfer)
     name = os.fsdecode(path)
     suffix = os.path.splitext(name)[1].lower()
     if suffix not in (".png", ".npy"):
-        raise ImageError(f"{name!r}: expected a name in .png or .npy, got {suffix!r}; rename it")
+        raise InputError(f"{name!r}: expected a name in .png or .npy, got {suffix!r}; rename it")
     if bits not in (8, 16):
-        raise ImageError(f"{name!r}: expected 8 or 16 bits, got {bits!r}")
+        raise InputError(f"{name!r}: expected 8 or 16 bits, got {bits!r}")
     values = np.asarray(values)
     if values.dtype.kind not in "fiu" or values.shape[2:] not in ((), (3,)):
         got = f"{values.dtype} {values.shape}"
-        raise ImageError(f"{name!r}: expected numbers (h, w) or (h, w, 3), got {got}")
+        raise InputError(f"{name!r}: expected numbers (h, w) or (h, w, 3), got {got}")
     try:
         _check_shape(values.shape)
         with np.errstate(over="ignore"):
@@ -140,7 +135,7 @@ def write_image(
         atomic_write(name, bytes(data))
     except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: libpng's
         reason = getattr(error, "strerror", None) or error
-        raise ImageError(f"{name!r}: cannot be written: {reason}") from error
+        raise InputError(f"{name!r}: cannot be written: {reason}") from error
 
 
 def atomic_write(path: str | os.PathLike[str], data: bytes) -> None:
@@ -164,7 +159,7 @@ def atomic_write(path: str | os.PathLike[str], data: bytes) -> None:
 
 def _known(transfer: str) -> str:
     if transfer not in TRANSFERS:
-        raise ImageError(f"expected transfer 'none' or 'srgb', got {transfer!r}")
+        raise InputError(f"expected transfer 'none' or 'srgb', got {transfer!r}")
     return transfer
 
 
@@ -182,16 +177,16 @@ def _by_rows(function: Callable[[Any], Any], source: np.ndarray, dtype: Any) -> 
 
 def _finite(values: np.ndarray) -> np.ndarray:
     if not np.isfinite(values).all():
-        raise ImageError("expected finite float32 values, got NaN or infinity; replace them first")
+        raise InputError("expected finite float32 values, got NaN or infinity; replace them first")
     return values
 
 
 def _check_shape(shape: tuple[int, ...]) -> None:
     """Refuse an empty, huge or wrongly shaped image, if possible before it is decoded."""
     if len(shape) not in (2, 3) or (len(shape) == 3 and not 1 <= shape[2] <= 4):
-        raise ImageError(f"expected a shape (h, w) or (h, w, 1 to 4), got {shape}")
+        raise InputError(f"expected a shape (h, w) or (h, w, 1 to 4), got {shape}")
     if not 0 < shape[0] * shape[1] <= MAX_PIXELS or min(shape) < 0:
-        raise ImageError(f"expected from 1 to {MAX_PIXELS} pixels, got {shape[0]} x {shape[1]}")
+        raise InputError(f"expected from 1 to {MAX_PIXELS} pixels, got {shape[0]} x {shape[1]}")
 
 
 def _linear(codes: np.ndarray, transfer: str, notes: list[str]) -> tuple[np.ndarray, float | None]:
@@ -199,7 +194,7 @@ def _linear(codes: np.ndarray, transfer: str, notes: list[str]) -> tuple[np.ndar
     _check_shape(codes.shape)
     kind = codes.dtype.newbyteorder("=").name
     if kind not in ("uint8", "uint16", "float16", "float32", "float64"):
-        raise ImageError(f"expected uint8, uint16 or 16 to 64-bit float samples, got {kind}")
+        raise InputError(f"expected uint8, uint16 or 16 to 64-bit float samples, got {kind}")
     top = float(np.iinfo(codes.dtype).max) if codes.dtype.kind == "u" else 1.0
     if codes.ndim == 3:
         if codes.shape[2] in (2, 4):
@@ -251,13 +246,13 @@ def _read_png(data: bytes, notes: list[str]) -> np.ndarray:
     while b"IEND" not in kinds:
         end = start + 12 + int.from_bytes(view[start : start + 4], "big")
         if end > len(data):
-            raise ImageError("the file is cut short; copy or save it again")
+            raise InputError("the file is cut short; copy or save it again")
         if zlib.crc32(view[start + 4 : end - 4]) != int.from_bytes(view[end - 4 : end], "big"):
-            raise ImageError(f"the chunk at byte {start} is damaged; copy or save it again")
+            raise InputError(f"the chunk at byte {start} is damaged; copy or save it again")
         kinds.add(data[start + 4 : start + 8])
         start = end
     if b"acTL" in kinds:
-        raise ImageError("expected a still image, got an animation; save one frame")
+        raise InputError("expected a still image, got an animation; save one frame")
     width, height = (int.from_bytes(data[i : i + 4], "big") for i in (16, 20))
     _check_shape((height, width))
     depth, colour = data[24], data[25]
@@ -276,7 +271,7 @@ def _read_jpeg(data: bytes, notes: list[str]) -> np.ndarray:
     notes.append("JPEG is lossy: rounding intervals are not exact.")
     with JpegImageFile(io.BytesIO(data)) as image:
         if image.mode not in ("L", "RGB"):
-            raise ImageError(f"expected grey or RGB, got {image.mode}; convert it to RGB")
+            raise InputError(f"expected grey or RGB, got {image.mode}; convert it to RGB")
         _check_shape((image.height, image.width))
         _note_orientation(image.getexif().get(274, 1), notes)
         image.load()
@@ -291,25 +286,25 @@ def _read_tiff(data: bytes, notes: list[str]) -> np.ndarray:
         more = len(tiff.pages) > 1  # reads to the last page, whose pointer to the next must be 0
         more |= any(data[tiff.pages.next_page_offset :][: tiff.tiff.offsetsize])
         if more or not isinstance(page, tifffile.TiffPage):
-            raise ImageError("expected one page, got several; save the wanted page by itself")
+            raise InputError("expected one page, got several; save the wanted page by itself")
         _check_shape((page.imagelength, page.imagewidth))
         colours = {0: 0, 1: 1, 2: 3}.get(page.photometric, 0)  # black is 0; RGB
         if not colours or page.samplesperpixel - colours not in (0, 1):
             got = f"photometric {page.photometric!r} with {page.samplesperpixel} samples"
-            raise ImageError(f"expected grey or RGB with or without alpha, got {got}; convert it")
+            raise InputError(f"expected grey or RGB with or without alpha, got {got}; convert it")
         # none, LZW, deflate, packbits, deflate, LZMA, Zstandard: the lossless ones
         if page.compression not in (1, 5, 8, 32773, 32946, 34925, 50000):
             got = f"{page.compression!r}"  # a number where the code is unknown
-            raise ImageError(f"expected no or lossless compression, got {got}; save it with LZW")
+            raise InputError(f"expected no or lossless compression, got {got}; save it with LZW")
         # tifffile fills missing strips with zeros, and some decoders accept a cut one.
         strips = list(zip(page.dataoffsets, page.databytecounts, strict=False))
         whole = all(count and start + count <= len(data) for start, count in strips)
         if not whole or len(strips) != np.prod(page.chunked):
-            raise ImageError("the file is cut short or has missing strips; save it again")
+            raise InputError("the file is cut short or has missing strips; save it again")
         _note_orientation(page.tags.valueof(274, 1), notes)
         codes = page.asarray()
         if page.bitspersample != 8 * codes.dtype.itemsize:  # 12 bits: the step is not 1/65535
-            raise ImageError(f"expected 8 or 16 bits or floats, got {page.bitspersample} bits")
+            raise InputError(f"expected 8 or 16 bits or floats, got {page.bitspersample} bits")
         return np.moveaxis(codes, 0, -1) if page.axes == "SYX" else codes
 
 
@@ -318,7 +313,7 @@ def _read_exr(data: bytes, notes: list[str]) -> np.ndarray:
 
     head = OpenEXR.File(io.BytesIO(data), header_only=True)
     if len(head.parts) != 1:
-        raise ImageError(f"expected one part, got {len(head.parts)}; save the wanted part")
+        raise InputError(f"expected one part, got {len(head.parts)}; save the wanted part")
     header = head.header()
     window = np.array(header["dataWindow"], dtype=np.int64)
     width, height = (int(n) for n in window[1] - window[0] + 1)
@@ -327,11 +322,11 @@ def _read_exr(data: bytes, notes: list[str]) -> np.ndarray:
         notes.append("Only the data window was read; it is not the whole display window.")
     file = OpenEXR.File(io.BytesIO(data))
     if not file.parts:  # all that OpenEXR does when the pixels cannot be decoded
-        raise ImageError("the file is cut short or damaged; copy or save it again")
+        raise InputError("the file is cut short or damaged; copy or save it again")
     channels = file.channels()
     colour = next((key for key in ("RGBA", "RGB", "Y") if key in channels), None)
     if colour is None or "RY" in channels:
-        raise ImageError(f"expected channels R, G, B or Y, got {', '.join(channels)}; rename them")
+        raise InputError(f"expected channels R, G, B or Y, got {', '.join(channels)}; rename them")
     others = sorted(set(channels) - {colour, "A"})
     if others:
         notes.append(f"Other channels were dropped: {', '.join(others)}.")
@@ -351,10 +346,10 @@ def _read_npy(data: bytes, notes: list[str]) -> np.ndarray:
         shape, fortran, dtype = np.lib.format.read_array_header_2_0(stream)
     _check_shape(shape)
     if dtype.kind not in "fu":
-        raise ImageError(f"expected uint8, uint16 or float samples, got {dtype}; convert them")
+        raise InputError(f"expected uint8, uint16 or float samples, got {dtype}; convert them")
     expected, got = int(np.prod(shape)) * dtype.itemsize, len(data) - stream.tell()
     if got != expected:
-        raise ImageError(f"expected {expected} bytes of samples, got {got}; save it again")
+        raise InputError(f"expected {expected} bytes of samples, got {got}; save it again")
     flat = np.frombuffer(data, dtype, offset=stream.tell())
     return flat.reshape(shape, order="F" if fortran else "C")
 
@@ -380,4 +375,4 @@ def _recognise(data: bytes, name: str) -> tuple[str, _Reader]:
             return found
     got = next(text for magic, text in _REFUSED.items() if data.startswith(magic))
     got = f"{got} (first bytes {data[:8]!r})" if data else "an empty file"
-    raise ImageError(f"{name!r}: expected {FORMATS}, got {got}; convert it to 16-bit PNG or EXR")
+    raise InputError(f"{name!r}: expected {FORMATS}, got {got}; convert it to 16-bit PNG or EXR")

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
+from godfit.errors import InputError
 from godfit.image import Image, decode, read_image
 from godfit.models import Mitchell
 from godfit.observation import Picture
+from godfit.parameters import is_light
 from godfit.screen import shrink
+from godfit.taps import convention
 
 Source = str | os.PathLike[str] | np.ndarray | Image
-
-
-class FitError(ValueError):
-    """One line: what was expected, what was got, what to do."""
 
 
 def image(source: Source, transfer: str) -> Image:
@@ -28,11 +28,11 @@ def image(source: Source, transfer: str) -> Image:
         return read_image(source, transfer=transfer)
     array = np.asarray(source)
     if array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,)) or 0 in array.shape:
-        raise FitError(f"image: expected shape (h, w) or (h, w, 3), got {array.shape}")
+        raise InputError(f"image: expected shape (h, w) or (h, w, 3), got {array.shape}")
     quantum = {np.dtype(np.uint8): 1 / 255, np.dtype(np.uint16): 1 / 65535}.get(array.dtype)
     values = array.astype(np.float32) * np.float32(1 if quantum is None else quantum)
     if not np.isfinite(values).all():
-        raise FitError("image: expected finite numbers, got NaN or infinity")
+        raise InputError("image: expected finite numbers, got NaN or infinity")
     return Image(np.asarray(decode(values, transfer)), quantum, transfer, "", "")
 
 
@@ -46,38 +46,76 @@ def picture(
     """Target, mask and background as one, checked against each other; see ``godfit.fit``."""
     size, values = target.values.shape[:2], mask.values
     if background is not None and background.values.shape[:2] != size:
-        raise FitError(
+        raise InputError(
             f"background: expected the target's {size[1]}x{size[0]} pixels, got "
             f"{background.values.shape[1]}x{background.values.shape[0]}; render it at that size"
         )
-    if not 0 < pass_scale <= 1:
-        raise FitError(f"pass scale: expected a number above 0, at most 1, got {pass_scale}")
-    if pass_scale < 1:
-        h, w = (max(1, round(n * pass_scale)) for n in values.shape[:2])
-        values = shrink(values, (h, w))
+    values = shrink_mask(values, pass_scale)
     (h, w), (height, width) = values.shape[:2], size
     if h > height or w > width:
-        raise FitError(
+        raise InputError(
             f"mask: expected at most the target's {width}x{height} pixels, got {w}x{h}; "
             "scale the mask down or give the target at full size"
         )
     # A pass at a fraction of an odd size is rounded to whole pixels: one pixel either way.
     if abs(w * height - h * width) > max(width, height):
-        raise FitError(
+        raise InputError(
             f"mask: expected the target's aspect {width}:{height}, got {w}:{h}; "
             "crop or render the mask for the same frame"
         )
     if valid is not None and not valid.any():
-        raise FitError("ignore: expected pixels to be left, got all of them ignored; ignore less")
+        raise InputError("ignore: expected pixels to be left, got all of them ignored; ignore less")
     return Picture.make(target, values, None if background is None else background.values, valid)
+
+
+def shrink_mask(mask: np.ndarray, pass_scale: float) -> np.ndarray:
+    """The mask at the light pass's own size, averaged over cells."""
+    if not 0 < pass_scale <= 1:
+        raise InputError(f"pass scale: expected a number above 0, at most 1, got {pass_scale:g}")
+    if pass_scale == 1:
+        return mask
+    h, w = (max(1, round(n * pass_scale)) for n in mask.shape[:2])
+    return shrink(mask, (h, w))
+
+
+def model_from(
+    settings: Mapping[str, Any], values: Mapping[str, float], lights: Sequence[tuple[float, float]]
+) -> Mitchell:
+    """A model at a point. ``settings`` (of a fit) give way to ``values`` and ``lights``, and what
+    neither gives is the shader's default; a light without any is in the middle."""
+    shader = convention(settings.get("shader", "mitchell"))
+    count = len(lights) or sum(is_light(k) for k in settings) // 2 or 1
+    model = template(shader.name, settings.get("samples"), count)
+    places = {}
+    for i, (u, v) in enumerate(lights):
+        stem = "light" if i == 0 else f"light{i + 1}"
+        places |= {f"{stem}_x": u, f"{stem}_y": v}
+    point = {}
+    for name in model.parameters:
+        fallback = 0.5 if is_light(name) else shader.defaults.get(name)
+        value = places.get(name, values.get(name, settings.get(name, fallback)))
+        if value is None and name in shader.parameters:
+            raise InputError(f"{name}: expected a value, got none; '{shader.name}' has no default")
+        point[name] = 1.0 if value is None else float(value)
+    _check(model, point, "render")
+    light = [point[name] for name in point if is_light(name)]
+    return Mitchell(
+        point["exposure"],
+        point["decay"],
+        point["density"],
+        point["weight"],
+        light,
+        shader.name,
+        model.samples,
+    )
 
 
 def template(shader: str, samples: int | None, lights: int) -> Mitchell:
     """A model of the right kind, at no particular point."""
     if samples is not None and not 2 <= samples <= 100_000:
-        raise FitError(f"samples: expected a whole number from 2 to 100000, got {samples}")
+        raise InputError(f"samples: expected a whole number from 2 to 100000, got {samples}")
     if not 1 <= lights <= 8:
-        raise FitError(f"lights: expected 1 to 8, got {lights}")
+        raise InputError(f"lights: expected 1 to 8, got {lights}")
     return Mitchell(1.0, 0.9, 0.5, 0.5, [[0.5, 0.5]] * lights, shader, samples)
 
 
@@ -91,22 +129,27 @@ def parameters(
         for name, value in values.items():
             if name not in table:
                 near = difflib.get_close_matches(name, table, n=1, cutoff=0.0)[0]
-                raise FitError(
+                raise InputError(
                     f"{option}: expected one of {', '.join(table)}, got '{name}'; "
                     f"did you mean '{near}'?"
                 )
             if value is None:
                 value = given.get(name, model.convention.defaults.get(name))
             if value is None:
-                raise FitError(
+                raise InputError(
                     f"fix: expected {name}=VALUE, got no value; '{model.shader}' has no default of "
                     f"{name}, so give one"
                 )
-            row = table[name]
-            if not row.lower <= value <= row.upper:
-                raise FitError(
-                    f"{option}: expected {name} from {row.lower:g} to {row.upper:g}, got {value:g}"
-                )
             given[name] = float(value)
+        _check(model, {n: given[n] for n in values}, option)
     held = np.array([given[n] if n in fix else np.nan for n in table], np.float32)
     return given, held
+
+
+def _check(model: Mitchell, values: Mapping[str, float], option: str) -> None:
+    for name, value in values.items():
+        row = model.parameters[name]
+        if not (row.lower <= value <= row.upper and np.isfinite(value)):
+            raise InputError(
+                f"{option}: expected {name} from {row.lower:g} to {row.upper:g}, got {value:g}"
+            )

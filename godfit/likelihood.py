@@ -1,8 +1,8 @@
 r"""What a pixel that was rounded says about the value behind it.
 
 A stored level t means that the value before rounding lay in [t - h, t + h), h half the distance
-between two levels; the brightest level means "at least", the darkest "below". With Gaussian noise of
-standard deviation sigma before the rounding, the log-likelihood of a prediction f is
+between two levels; the brightest level means "at least", the darkest "below". With Gaussian noise
+of standard deviation sigma before the rounding, the log-likelihood of a prediction f is
 
     log(Phi((hi - f)/sigma) - Phi((lo - f)/sigma))
 
@@ -34,12 +34,12 @@ NARROW = 0.02
 class Interval(NamedTuple):
     """Log-likelihood of an interval and its derivatives by the prediction, in units of sigma."""
 
-    log: Float[Array, "..."]
-    slope: Float[Array, "..."]
-    curvature: Float[Array, "..."]
+    log: Float[Array, ...]
+    slope: Float[Array, ...]
+    curvature: Float[Array, ...]
 
 
-def interval(low: Float[Array, "..."], high: Float[Array, "..."]) -> Interval:
+def interval(low: Float[Array, ...], high: Float[Array, ...]) -> Interval:
     """log(Phi(high) - Phi(low)), its slope d/df and curvature -d2/df2, for low = (lo - f)/sigma,
     high = (hi - f)/sigma, low < high or both equal (a point). Finite for every finite or infinite
     argument; curvature lies in [0, 1]."""

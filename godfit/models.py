@@ -6,7 +6,9 @@ vector of ``coordinates`` and asks the model for the image.
 
 from __future__ import annotations
 
+import functools
 from abc import abstractmethod
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -22,6 +24,8 @@ from godfit.taps import Convention, convention
 
 class AbstractModel(eqx.Module):
     """What fit and report need to know of a model."""
+
+    name: eqx.AbstractClassVar[str]
 
     @property
     @abstractmethod
@@ -55,11 +59,11 @@ class AbstractModel(eqx.Module):
     def __call__(
         self,
         mask: Float[Array, "h w"] | Float[Array, "h w c"],
-        background: Float[Array, "..."] | None = None,
+        background: Float[Array, ...] | None = None,
         *,
         size: tuple[int, int] | None = None,
         pixels: Int[Array, " n"] | None = None,
-    ) -> Float[Array, "..."]:
+    ) -> Float[Array, ...]:
         """The image; see ``Mitchell``."""
 
 
@@ -74,6 +78,8 @@ class Mitchell(AbstractModel):
     density, the attenuation for each unit of ray; density; gain = exposure weight samples /
     density; the lights. The image depends on samples almost only through kappa and gain.
     """
+
+    name: ClassVar[str] = "mitchell"
 
     exposure: Float[Array, ""]
     decay: Float[Array, ""]
@@ -145,9 +151,9 @@ class Mitchell(AbstractModel):
         mask: Float[Array, "h w"] | Float[Array, "h w c"],
         at: Float[Array, "*points 2"] | None = None,
         method: str = "auto",
-    ) -> Float[Array, "..."]:
-        """The scattering pass alone, unclamped, at ``at`` (columns and rows of the mask) or at every
-        pixel of the mask."""
+    ) -> Float[Array, ...]:
+        """The scattering pass alone, unclamped, at ``at`` (columns and rows of the mask in pixels) or
+        at every pixel of the mask."""
         shader = self.convention
         passes = shader.taps(self.exposure, self.decay, self.density, self.weight, self.samples)
         total = 0.0
@@ -162,12 +168,12 @@ class Mitchell(AbstractModel):
     def __call__(
         self,
         mask: Float[Array, "h w"] | Float[Array, "h w c"],
-        background: Float[Array, "..."] | None = None,
+        background: Float[Array, ...] | None = None,
         *,
         size: tuple[int, int] | None = None,
         pixels: Int[Array, " n"] | None = None,
         method: str = "auto",
-    ) -> Float[Array, "..."]:
+    ) -> Float[Array, ...]:
         """Light pass, upsampled if need be, on the background; linear, not clamped.
 
         **Arguments:**
@@ -182,8 +188,9 @@ class Mitchell(AbstractModel):
 
         **Returns:** (H, W) or (n,), then the channels of the mask or the background.
         """
-        low = mask.shape[:2]
-        size = low if size is None else size
+        low = (mask.shape[0], mask.shape[1])
+        if size is None:
+            size = low
         if size == low:
             at = None if pixels is None else _columns_rows(pixels, size[1], mask.dtype)
             light = self.light_pass(mask, at, method)
@@ -213,13 +220,14 @@ class Mitchell(AbstractModel):
         x, y = (at[:, 0] + 0.5) * w / width - 0.5, (at[:, 1] + 0.5) * h / height - 0.5
         if 4 * pixels.shape[0] >= h * w:
             low = jnp.clip(self.light_pass(mask, None, method), 0, 1)
-            read = lambda image: bilinear(image, x, y)
+            read = functools.partial(bilinear, x=x, y=y)
             out = read(low) if low.ndim == 2 else jax.vmap(read, -1, -1)(low)
         else:
             # A few pixels need no whole picture: only the four texels about each.
             i, j = jnp.floor(x), jnp.floor(y)
-            columns, rows = jnp.clip(i + jnp.array([[0], [1], [0], [1]]), 0, w - 1), jnp.clip(
-                j + jnp.array([[0], [0], [1], [1]]), 0, h - 1
+            columns, rows = (
+                jnp.clip(i + jnp.array([[0], [1], [0], [1]]), 0, w - 1),
+                jnp.clip(j + jnp.array([[0], [0], [1], [1]]), 0, h - 1),
             )
             texels = self.light_pass(mask, jnp.stack([columns, rows], -1), method)
             texels = jnp.clip(texels, 0, 1)

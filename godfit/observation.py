@@ -21,7 +21,7 @@ class Observation(eqx.Module):
     by channel, and what a model needs to predict them."""
 
     mask: Float[Array, "h w"] | Float[Array, "h w c"]
-    background: Float[Array, "..."] | None
+    background: Float[Array, ...] | None
     pixels: Int[Array, " n"]
     lo: Float[Array, " m"]
     hi: Float[Array, " m"]
@@ -92,7 +92,7 @@ class Picture:
 
     def clipped(self) -> np.ndarray:
         """(h, w): pixels at the top of the scale in some channel."""
-        return (self.levels >= LEVELS - max(self.half, 1e-3)).any(-1) & (self.half > 0)
+        return np.any(self.levels >= LEVELS - self.half, -1) & np.bool_(self.half > 0)
 
     def observe(self, pixels: np.ndarray, blur: float = 0.0) -> Observation:
         """The picture at ``pixels``; with ``blur`` (pixels, the standard deviation of a Gaussian),
@@ -157,5 +157,3 @@ def _grey(image: np.ndarray) -> tuple[np.ndarray, bool]:
 def _blurred(image: np.ndarray, sigma: float) -> np.ndarray:
     axes = (sigma, sigma) + (0,) * (image.ndim - 2)
     return ndimage.gaussian_filter(image, axes, mode="nearest")
-
-

@@ -25,7 +25,9 @@ class Parameter:
 
 SCATTERING = (
     Parameter("exposure", "E", "1", 0.0, inf, "scale of the whole light pass"),
-    Parameter("decay", "d", "1 per tap", 0.0, 1.0, "each tap weighs this much of the one before it"),
+    Parameter(
+        "decay", "d", "1 per tap", 0.0, 1.0, "each tap weighs this much of the one before it"
+    ),
     Parameter("density", "rho", "of the ray", 0.0, 1.0, "how far towards the light the taps reach"),
     Parameter("weight", "w", "1", 0.0, inf, "what a tap weighs against the pixel's own value"),
 )
@@ -40,7 +42,12 @@ def light_parameters(lights: int) -> tuple[Parameter, ...]:
         for axis, symbol, way in (("x", "u", "to the right"), ("y", "v", "up")):
             rows.append(
                 Parameter(
-                    f"{stem}_{axis}", symbol, "of the image", -inf, inf, f"{which}, {way} from the left bottom corner"
+                    f"{stem}_{axis}",
+                    symbol,
+                    "of the image",
+                    -inf,
+                    inf,
+                    f"{which}, {way} from the left bottom corner",
                 )
             )
     return tuple(rows)

@@ -59,9 +59,9 @@ class FitResult:
     def render(self) -> np.ndarray:
         """The fitted image, linear, clamped to [0, 1]; shaped like the target."""
         picture = self.picture
-        image = _render(self.model, picture.mask, picture.background, picture.size)
-        image = np.broadcast_to(np.atleast_3d(np.asarray(image)), picture.levels.shape)
-        return np.clip(image if image.shape[-1] == 3 else image[..., 0], 0, 1)
+        image = render(self.model, picture.mask, picture.background, picture.size)
+        image = np.broadcast_to(np.atleast_3d(image), picture.levels.shape)
+        return image if image.shape[-1] == 3 else image[..., 0]
 
     @property
     def residual(self) -> np.ndarray:
@@ -95,7 +95,14 @@ class FitResult:
         return html(self)
 
 
+def render(
+    model: Mitchell, mask: np.ndarray, background: np.ndarray | None, size: tuple[int, int]
+) -> np.ndarray:
+    """The model's image, (h, w) or (h, w, 3), linear, clamped to [0, 1]."""
+    back = None if background is None else jnp.asarray(background)
+    return np.clip(np.asarray(_image(model, jnp.asarray(mask), back, size)), 0, 1)
+
+
 @eqx.filter_jit
-def _render(model, mask, background, size):
-    mask = jnp.asarray(mask)
-    return model(mask, None if background is None else jnp.asarray(background), size=size)
+def _image(model, mask, background, size):
+    return model(mask, background, size=size)

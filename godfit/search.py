@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from godfit.likelihood import deviance_residuals, log_likelihood
 from godfit.models import AbstractModel
 from godfit.observation import Observation, Picture
-from godfit.solver import Point, linearise, scales, solve, solve_tangent
+from godfit.solver import Point, Vector, linearise, scales, solve, solve_tangent
 
 PIXELS = 2048
 # Blur (as a share of the longer side), starts kept, sigma in levels.
@@ -55,7 +55,7 @@ def best_sigma(prediction: Float[Array, " m"], seen: Observation) -> tuple[float
         part = np.random.default_rng(0).integers(0, prediction.shape[0], SIGMA_VALUES)
         values = tuple(z[part] for z in values)
     sigmas, ratio = SIGMAS, SIGMAS[1] / SIGMAS[0]
-    for _ in range(3):
+    for _ in range(4):
         best = sigmas[int(np.nanargmax(_log_likelihoods(*values, sigmas)))]
         ratio **= 0.25
         sigmas = best * ratio ** np.linspace(-7, 7, len(SIGMAS))
@@ -108,7 +108,7 @@ def _distinct(points: list[Point]) -> list[Point]:
 
 
 class Settled(NamedTuple):
-    """Coordinates and noise (levels) that suit each other; ``quiet`` when neither moved any more."""
+    """Coordinates and noise (levels) that suit each other; ``quiet`` when neither moved."""
 
     coordinates: np.ndarray
     sigma: float
@@ -117,7 +117,7 @@ class Settled(NamedTuple):
 
 
 class Tangent(NamedTuple):
-    """The model about a point: levels (m,), and derivatives (m, p) by coordinates over ``scale``."""
+    """The model about a point: levels (m,), derivatives (m, p) by coordinates over ``scale``."""
 
     prediction: Float[Array, " m"]
     jacobian: Float[Array, "m p"]
@@ -196,9 +196,9 @@ def _near_walls(prediction: Float[Array, " m"], seen: Observation) -> Array | sl
 
 @eqx.filter_jit
 def _valley(
-    coordinates: Float[Array, " p"],
-    free: Float[Array, " p"],
-    held: Float[Array, " p"],
+    coordinates: Vector,
+    free: Vector,
+    held: Vector,
     along: int,
     model: AbstractModel,
     seen: Observation,
@@ -217,7 +217,7 @@ def _valley(
 @eqx.filter_jit
 def _costs(
     points: Float[Array, "n p"],
-    held: Float[Array, " p"],
+    held: Vector,
     model: AbstractModel,
     seen: Observation,
     sigma: Float[Array, ""],

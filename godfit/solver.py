@@ -16,6 +16,10 @@ from godfit.likelihood import deviance_residuals, interval
 from godfit.models import AbstractModel
 from godfit.observation import Observation
 
+# By coordinate or parameter; what is kept between two solves is kept as numpy arrays.
+Vector = Float[Array, " p"] | Float[np.ndarray, " p"]
+Switches = Bool[Array, " p"] | Bool[np.ndarray, " p"]
+
 MAX_ACTIVE_SET_ROUNDS = 6
 MAX_STEPS = 12
 # On a tangent steps are cheap, and where rounding is all the noise there is they are many: the
@@ -42,10 +46,10 @@ def scales(coordinates: np.ndarray) -> np.ndarray:
 
 @eqx.filter_jit
 def _least_squares(
-    start: Float[Array, " p"],
-    free: Bool[Array, " p"],
-    scale: Float[Array, " p"],
-    held: Float[Array, " p"],
+    start: Vector,
+    free: Switches,
+    scale: Vector,
+    held: Vector,
     model: AbstractModel,
     seen: Observation,
     sigma: Float[Array, ""],
@@ -74,9 +78,9 @@ def _minimise(residuals, start, free, scale, share, max_steps):
 
 @eqx.filter_jit
 def linearise(
-    coordinates: Float[Array, " p"],
-    held: Float[Array, " p"],
-    scale: Float[Array, " p"],
+    coordinates: Vector,
+    held: Vector,
+    scale: Vector,
     model: AbstractModel,
     seen: Observation,
 ) -> tuple[Float[Array, " m"], Float[Array, "m p"]]:
@@ -92,9 +96,9 @@ def linearise(
 
 @eqx.filter_jit
 def _linear_least_squares(
-    start: Float[Array, " p"],
-    free: Bool[Array, " p"],
-    scale: Float[Array, " p"],
+    start: Vector,
+    free: Switches,
+    scale: Vector,
     prediction: Float[Array, " m"],
     jacobian: Float[Array, "m p"],
     lo: Float[Array, " m"],

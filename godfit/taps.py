@@ -20,6 +20,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from godfit.errors import InputError
+
 Scalar = Float[Array, ""] | float
 
 
@@ -185,12 +187,12 @@ CONVENTIONS: dict[str, Convention] = {
 
 
 def convention(name: str) -> Convention:
-    """The convention called ``name``. Raises ValueError naming the nearest for an unknown one."""
+    """The convention called ``name``. Raises InputError naming the nearest for an unknown one."""
     try:
         return CONVENTIONS[name]
     except KeyError:
         near = difflib.get_close_matches(name, CONVENTIONS, n=1, cutoff=0.0)
-        raise ValueError(
+        raise InputError(
             f"shader: expected one of {', '.join(CONVENTIONS)}, got '{name}'; "
             f"did you mean '{near[0]}'?"
         ) from None

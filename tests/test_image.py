@@ -24,7 +24,7 @@ from godfit import image
 from godfit.image import (
     MAX_PIXELS,
     Image,
-    ImageError,
+    InputError,
     atomic_write,
     decode,
     encode,
@@ -112,7 +112,7 @@ def load(tmp_path):
 @pytest.fixture
 def refuse(tmp_path, load):
     def refuse(data: bytes, *words: str) -> None:
-        with pytest.raises(ImageError) as caught:
+        with pytest.raises(InputError) as caught:
             load(data)
         message = str(caught.value)
         assert len(message.splitlines()) == 1
@@ -464,7 +464,7 @@ def test_other_contents_are_refused_naming_what_is_accepted(refuse, data, word):
 
 @pytest.mark.parametrize("name", ["missing.png", "", "a\nb.png", "a\0b.png", "x" * 300])
 def test_unreadable_paths(tmp_path, name):
-    with pytest.raises(ImageError) as caught:
+    with pytest.raises(InputError) as caught:
         read_image(tmp_path / name if name else tmp_path)  # "": the folder itself
     assert len(str(caught.value).splitlines()) == 1
     assert str(tmp_path) in str(caught.value)
@@ -478,7 +478,7 @@ def test_bytes_and_transfer_are_kept_beside_the_values(tmp_path):
     assert found.transfer == "srgb"
     assert found.sha256 == hashlib.sha256(WHOLE["PNG"]).hexdigest()
     assert read_image(str(path)).path == str(path)
-    with pytest.raises(ImageError, match="gamma"):
+    with pytest.raises(InputError, match="gamma"):
         read_image(path, transfer="gamma")
 
 
@@ -551,7 +551,7 @@ def test_jax_gradients_are_finite_and_right(function):
 
 def test_unknown_transfer():
     for function in (decode, encode):
-        with pytest.raises(ImageError, match="gamma"):
+        with pytest.raises(InputError, match="gamma"):
             function(np.ones(2), "gamma")
 
 
@@ -621,7 +621,7 @@ def test_npy_roundtrip_is_exact(tmp_path_factory, values):
 )
 def test_refusing_to_write_leaves_nothing(tmp_path, name, values, options):
     (tmp_path / "folder.png").mkdir()
-    with pytest.raises(ImageError) as caught:
+    with pytest.raises(InputError) as caught:
         write_image(tmp_path / name, values, **options)
     assert len(str(caught.value).splitlines()) == 1
     assert os.listdir(tmp_path) == ["folder.png"]
@@ -641,7 +641,7 @@ def test_a_failure_half_way_leaves_the_old_file_alone(tmp_path, monkeypatch, fun
         with pytest.raises(type(error)) as caught:
             atomic_write(path, b"new")
         assert caught.value is error  # untouched
-        with pytest.raises(ImageError if isinstance(error, OSError) else KeyboardInterrupt):
+        with pytest.raises(InputError if isinstance(error, OSError) else KeyboardInterrupt):
             write_image(path, GREY8 / 255)
         assert os.listdir(tmp_path) == ["a.png"]
         assert path.read_bytes() == b"old"
@@ -662,5 +662,5 @@ def test_atomic_write_permissions_and_relative_names(tmp_path, monkeypatch):
 
 
 def test_errors_never_hold_a_newline():
-    assert str(ImageError("a\nb\r\nc\u2028d")) == "a b c d"
-    assert issubclass(ImageError, ValueError)
+    assert str(InputError("a\nb\r\nc\u2028d")) == "a b c d"
+    assert issubclass(InputError, ValueError)

@@ -20,4 +20,5 @@ def points(
     if at is not None:
         return at[..., 0], at[..., 1]
     x, y = jnp.arange(width, dtype=dtype), jnp.arange(height, dtype=dtype)
-    return jnp.meshgrid(x, y)
+    columns, rows = jnp.meshgrid(x, y)
+    return columns, rows

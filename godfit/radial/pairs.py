@@ -4,9 +4,9 @@ Two neighbours of a row are kept in one complex number, so that a tap needs two 
 and the two that it reads give its slope as well. Taps are geometric (``godfit.taps``), so with
 
     S   = sum r^(k-1) I_k             S_r = sum (k-1) r^(k-2) I_k
-    G_x = sum k r^(k-1) dI_k/dx       G_y = sum k r^(k-1) dI_k/dy,        I_k = M(x + k step (l - x))
+    G_x = sum k r^(k-1) dI_k/dx       G_y = sum k r^(k-1) dI_k/dy
 
-out = own M(x) + first S, and its derivatives by own, first, ratio, step and the light are products
+where I_k = M(x + k step (l - x)), out = own M(x) + first S, and its derivatives by own, first, ratio, step and the light are products
 of these four with numbers that do not depend on the tap. No other derivative is worked out.
 
 Cost: taps x points x 2 reads, about three times that with the derivatives. Error: rounding.
@@ -72,7 +72,10 @@ def _sums(packed, x, y, light_x, light_y, ratio, step, count, slopes):
         slope_x = pair.imag - pair.real
         slope_y = down.real + fx * (down.imag - down.real)
         v = pair.real + fx * slope_x
-        return (a + lax.complex(c * v, k * c * slope_x), b + lax.complex(c_r * v, k * c * slope_y)), None
+        return (
+            a + lax.complex(c * v, k * c * slope_x),
+            b + lax.complex(c_r * v, k * c * slope_y),
+        ), None
 
     taps = (k, weight, weight_r)
     if not slopes:
@@ -112,14 +115,14 @@ def _pairs_jvp(count, primals, tangents):
     mask, light, own, first, ratio, step, at = primals
     d_mask, d_light, d_own, d_first, d_ratio, d_step, d_at = tangents
     if at is not None and not _is_zero(d_at):
-        raise ValueError("radial_sum is not differentiable in `at` by method 'pairs'; use 'reference'")
+        raise ValueError(
+            "radial_sum is not differentiable in `at` by method 'pairs'; use 'reference'"
+        )
     h, w = mask.shape
     x, y = (z.reshape(-1) for z in points(h, w, at, mask.dtype))
     light_x, light_y = to_pixels(light, h, w)
     out_own = _own(mask, x, y, at)
-    s, s_r, g_x, g_y = _blocks(
-        _pack(mask), x, y, light_x, light_y, ratio, step, count, True
-    )
+    s, s_r, g_x, g_y = _blocks(_pack(mask), x, y, light_x, light_y, ratio, step, count, True)
     out = own * out_own + first * s
     d_out = jnp.zeros_like(out)
     if not _is_zero(d_own):
@@ -145,7 +148,7 @@ def _is_zero(tangent) -> bool:
 
 def pairs(
     mask: Float[Array, "h w"],
-    light: Float[Array, "2"],
+    light: Float[Array, 2],
     taps: Taps,
     at: Float[Array, "*points 2"] | None,
 ) -> Float[Array, "*points"]:

@@ -18,6 +18,7 @@ from godfit.observation import LEVELS, Observation, Picture
 from godfit.parameters import is_light
 from godfit.result import Estimate, FitResult
 from godfit.screen import starts
+from godfit.timing import compile_seconds
 
 STARTS = 8
 # More values than this say nothing new, and their derivatives would fill the memory.
@@ -26,6 +27,7 @@ MAX_VALUES = 1 << 21
 DOUBT = 8.0
 CANDIDATES = 3
 MAX_DIPS = 5
+MAX_RESEEDS = 4
 # Correlation of neighbouring residuals above which noise is no explanation.
 STRUCTURE = 0.3
 
@@ -65,10 +67,10 @@ def fit(
     - `seed`: of the choice of pixels.
     - `progress`: is called with a line of text as the fit goes on.
 
-    **Returns:** a `FitResult`. Raises `FitError`, `ImageError` or `ValueError` with one line for
-    input that cannot be fitted.
+    **Returns:** a `FitResult`. Raises `InputError`, a ValueError of one line, for input that cannot
+    be fitted.
     """
-    began = time.perf_counter()
+    began, compiled = time.perf_counter(), compile_seconds()
     say = progress or (lambda text: None)
     images = {"target": inputs.image(target, transfer), "mask": inputs.image(mask, "none")}
     if background is not None:
@@ -114,8 +116,18 @@ def fit(
         settled, tangent = search.settle(coordinates, model, seen, free, held)
         at = evidence(settled, tangent, seen)
     return _result(
-        settled, at, picture, pixels, seen, model, free, held, used, open_, images,
-        time.perf_counter() - began,
+        settled,
+        at,
+        picture,
+        pixels,
+        seen,
+        model,
+        free,
+        held,
+        used,
+        open_,
+        images,
+        {"compile": compile_seconds() - compiled, "solve": time.perf_counter() - began},
     )
 
 
@@ -135,8 +147,13 @@ def _subset(
     along, dip, doubtful = _dips(settled, tangent, model, seen, free)
     if not doubtful and settled.sigma < 2 * search.SIGMAS[0]:
         return [settled.coordinates]
-    say("other densities")
-    found = search.reseed(settled, along, model, picture, free, held, seed)
+    found = [settled]
+    for _ in range(MAX_RESEEDS):
+        say("other densities")
+        best = found[0]
+        found = search.reseed(best, along, model, picture, free, held, seed)
+        if found[0].log_likelihood < best.log_likelihood + 1:
+            break
     close: list[search.Settled] = []
     for other in found:
         apart = all(abs(other.coordinates[along] - c.coordinates[along]) > dip / 20 for c in close)
@@ -204,7 +221,7 @@ def _held_at(
     begun: np.ndarray,
     index: int,
 ) -> np.float32:
-    """Where to hold an open coordinate: at what the user gave, the shader's default, or the start."""
+    """Where to hold an open coordinate: at what was given, the shader's default, or the start."""
     name = list(model.parameters)[index]
     if name in ("exposure", "density") or is_light(name):
         value = given.get(name, model.convention.defaults.get(name, begun[index]))
@@ -224,7 +241,7 @@ def _result(
     used: np.ndarray,
     open_: list[tuple[int, list[int]]],
     images: dict[str, Image],
-    seconds: float,
+    timing: dict[str, float],
 ) -> FitResult:
     names = list(model.parameters)
     fitted = model.moved(jnp.asarray(settled.coordinates), jnp.asarray(held))
@@ -237,7 +254,9 @@ def _result(
     covariance = by_coordinate @ at.covariance(free) @ by_coordinate.T
     # A parameter that an open coordinate would change is not known, however well the rest is.
     opened = [i for i, _ in open_]
-    unknown = (np.abs(by_coordinate[:, opened]) > 0).any(1) if opened else np.zeros(len(names), bool)
+    unknown = (
+        (np.abs(by_coordinate[:, opened]) > 0).any(1) if opened else np.zeros(len(names), bool)
+    )
     unknown |= np.isin(np.arange(len(names)), opened) | (np.diag(covariance) <= 0)
     stderr = np.sqrt(np.where(unknown, np.nan, np.diag(covariance)))
     covariance[unknown] = covariance[:, unknown] = np.nan
@@ -266,7 +285,9 @@ def _result(
         params=params,
         covariance=covariance,
         correlations=_correlations(names, covariance),
-        undetermined=tuple(_sentence(i, p, names, values, at, free, by_coordinate) for i, p in open_),
+        undetermined=tuple(
+            _sentence(i, p, names, values, at, free, by_coordinate) for i, p in open_
+        ),
         notes=tuple(f"{role}: {note}" for role, im in images.items() for note in im.notes),
         noise_levels=settled.sigma,
         rmse_levels=rmse,
@@ -274,7 +295,7 @@ def _result(
         pixels=len(pixels),
         pixels_clipped=int((picture.clipped() & picture.valid).sum()),
         log_likelihood=settled.log_likelihood,
-        timing_s={"solve": seconds},
+        timing_s=timing | {"solve": timing["solve"] - timing["compile"]},
         picture=picture,
         inputs={role: {"path": im.path, "sha256": im.sha256} for role, im in images.items()},
     )

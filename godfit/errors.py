@@ -1,0 +1,10 @@
+"""The one kind of error that a user is meant to see."""
+
+from __future__ import annotations
+
+
+class InputError(ValueError):
+    """One line that says what was expected, what was got and what to do."""
+
+    def __init__(self, message: object) -> None:
+        super().__init__(" ".join(str(message).splitlines()))

@@ -1,0 +1,246 @@
+"""A fit as text, as JSON, as a figure, as files."""
+
+from __future__ import annotations
+
+import html as markup
+import io
+import json
+import math
+import os
+import platform
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from godfit.image import atomic_write, encode, write_image
+from godfit.observation import LEVELS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from godfit.result import Estimate, FitResult
+
+SCHEMA = 1
+
+
+def number(value: float, stderr: float | None) -> str:
+    """A value to the digits that its error leaves it, at least four and at most nine."""
+    if stderr is None or not stderr > 0 or value == 0:
+        return f"{value:.6g}"
+    digits = math.floor(math.log10(abs(value))) - math.floor(math.log10(stderr)) + 2
+    return f"{value:#.{min(max(digits, 4), 9)}g}".rstrip(".")
+
+
+def _rows(result: FitResult) -> list[tuple[str, str, str, str]]:
+    """(name, value, error, remark) of every parameter."""
+    return [
+        (name, number(e.value, e.stderr), _error(e), _remark(e))
+        for name, e in result.params.items()
+    ]
+
+
+def _error(e: Estimate) -> str:
+    if e.stderr is None:
+        return "-"
+    percent = f" ({100 * e.stderr / abs(e.value):.2g}%)" if e.value else ""
+    return f"{e.stderr:.2g}{percent}"
+
+
+def _remark(e: Estimate) -> str:
+    if e.fixed:
+        return "fixed"
+    if e.at_bound:
+        return "at its bound"
+    return "" if e.stderr is not None else "not determined"
+
+
+def summary(result: FitResult) -> str:
+    """A plain-text table: what was fitted, to what, how well, and what remains open."""
+    model = result.model
+    height, width = result.picture.size
+    lines = [
+        f"{model.name} model, shader {model.shader}, {model.samples} samples, "
+        f"{width}x{height} pixels",
+        "",
+        f"  {'parameter':<10} {'value':>13}   {'standard error':<18}",
+    ]
+    lines += [
+        f"  {name:<10} {value:>13}   {error:<18} {remark}".rstrip()
+        for name, value, error, remark in _rows(result)
+    ]
+    if result.correlations:
+        pairs = list(result.correlations.items())[:3]
+        lines += ["", "  correlations: " + "; ".join(f"{k} {v:+.4f}" for k, v in pairs)]
+    lines += [
+        "",
+        f"  residual {result.rmse_levels:.3f} levels rms ({result.psnr_db:.1f} dB), noise before "
+        f"rounding {result.noise_levels:.3g} levels",
+        f"  {result.pixels:,} pixels, {result.pixels_clipped:,} clipped; "
+        f"{result.timing_s.get('solve', 0.0):.2f} s solving, "
+        f"{result.timing_s.get('compile', 0.0):.2f} s compiling",
+    ]
+    lines += [f"  note: {sentence}" for sentence in result.undetermined]
+    lines += ["", f"  {'converged' if result.converged else 'not converged: ' + result.message}"]
+    return "\n".join(lines)
+
+
+def as_json(result: FitResult, command: str = "") -> dict[str, Any]:
+    """The contents of fit.json; numbers that are not finite become null."""
+    model = result.model
+    names = ("jax", "jaxlib", "equinox", "optimistix", "numpy")
+    return {
+        "schema": SCHEMA,
+        "converged": result.converged,
+        "message": result.message,
+        "model": model.name,
+        "shader": model.shader,
+        "samples": model.samples,
+        "params": {
+            name: {
+                "value": _finite(e.value),
+                "stderr": _finite(e.stderr),
+                "fixed": e.fixed,
+                "at_bound": e.at_bound,
+            }
+            for name, e in result.params.items()
+        },
+        "correlations": {pair: round(value, 6) for pair, value in result.correlations.items()},
+        "undetermined": list(result.undetermined),
+        "notes": list(result.notes),
+        "noise_levels": _finite(result.noise_levels),
+        "rmse_levels": _finite(result.rmse_levels),
+        "psnr_db": _finite(result.psnr_db),
+        "log_likelihood": _finite(result.log_likelihood),
+        "pixels": result.pixels,
+        "pixels_clipped": result.pixels_clipped,
+        "timing_s": {k: round(v, 4) for k, v in result.timing_s.items()},
+        "inputs": result.inputs,
+        "versions": {
+            "godfit": metadata.version("godfit"),
+            "python": platform.python_version(),
+            **{name: metadata.version(name) for name in names},
+        },
+        "command": command,
+    }
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def plot(result: FitResult) -> Figure:
+    """Target, fitted and residual side by side, the light marked, the parameters below."""
+    # Without pyplot: no window system is asked for, and nothing has to be closed.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    picture = result.picture
+    height, width = picture.size
+    residual = result.residual
+    if residual.ndim == 3:
+        # The worst channel of every pixel, with its sign.
+        worst = np.nan_to_num(np.abs(residual)).argmax(-1)
+        residual = np.take_along_axis(residual, worst[..., None], -1)[..., 0]
+    known = np.abs(residual[np.isfinite(residual)])
+    limit = max(0.5, float(np.quantile(known, 0.998))) if known.size else 0.5
+    step = max(1, max(height, width) // 1024)
+    fitted = np.asarray(encode(result.render(), picture.transfer))
+    target = picture.levels / np.float32(LEVELS)
+    panels = (
+        ("target", target if target.shape[-1] == 3 else target[..., 0]),
+        ("fitted", fitted),
+        ("fitted - target, levels", residual),
+    )
+    panel = 4.0
+    figure = Figure(
+        figsize=(3 * panel + 1.2, panel * min(max(height / width, 0.4), 1.6) + 2.4),
+        layout="constrained",
+    )
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(2, 3, height_ratios=[panel * height / width, 1.5])
+    for column, (title, image) in enumerate(panels):
+        axes = figure.add_subplot(grid[0, column])
+        signed = image is residual
+        shown = axes.imshow(
+            image[::step, ::step],
+            cmap="RdBu_r" if signed else "gray",
+            vmin=-limit if signed else 0,
+            vmax=limit if signed else 1,
+            extent=(0, 1, 0, 1),
+            aspect=height / width,
+            interpolation="nearest",
+        )
+        axes.set_title(title, fontsize=11)
+        axes.set_xticks([0, 0.5, 1])
+        axes.set_yticks([0, 0.5, 1])
+        axes.tick_params(labelsize=8)
+        if signed:
+            figure.colorbar(shown, ax=axes, fraction=0.045, pad=0.02).ax.tick_params(labelsize=8)
+        for u, v in np.asarray(result.model.light):
+            _mark_light(axes, float(u), float(v))
+    _write_parameters(figure.add_subplot(grid[1, :]), result)
+    state = "converged" if result.converged else "NOT CONVERGED"
+    figure.suptitle(
+        f"{result.model.shader}, {result.model.samples} samples: {state}, residual "
+        f"{result.rmse_levels:.2f} levels rms",
+        fontsize=12,
+        color="black" if result.converged else "firebrick",
+    )
+    return figure
+
+
+def _mark_light(axes, u: float, v: float) -> None:
+    """A ring at the light, or an arrow at the frame towards a light outside."""
+    if 0 <= u <= 1 and 0 <= v <= 1:
+        axes.plot(u, v, "o", ms=11, mfc="none", mec="black", mew=2.5)
+        axes.plot(u, v, "o", ms=11, mfc="none", mec="gold", mew=1.3)
+        return
+    away = np.array([u, v]) - 0.5
+    edge = 0.5 + away * (0.47 / np.abs(away).max())
+    tail = edge - 0.12 * away / np.hypot(*away)
+    axes.annotate(
+        "",
+        xy=tuple(edge),
+        xytext=tuple(tail),
+        arrowprops={"arrowstyle": "-|>", "color": "gold", "lw": 2.5, "ec": "black"},
+    )
+
+
+def _write_parameters(axes, result: FitResult) -> None:
+    axes.axis("off")
+    lines = [
+        f"{name:<9} {value:>12} \N{PLUS-MINUS SIGN} {error:<18} {remark}".rstrip()
+        for name, value, error, remark in _rows(result)
+    ]
+    half = (len(lines) + 1) // 2
+    style: dict[str, Any] = {"family": "monospace", "fontsize": 9, "va": "top"}
+    axes.text(0.0, 1.0, "\n".join(lines[:half]), **style)
+    axes.text(0.5, 1.0, "\n".join(lines[half:]), **style)
+    remarks = [*result.undetermined, *([] if result.converged else [result.message])]
+    axes.text(0.0, 0.3, "\n".join(remarks), fontsize=8, va="top", color="firebrick", wrap=True)
+
+
+def save(result: FitResult, folder: str | os.PathLike[str], command: str = "") -> None:
+    """Write fit.json, fit.png and render.png; each appears whole or not at all, other files in the
+    folder stay. Raises OSError or ImageError."""
+    figure = io.BytesIO()
+    plot(result).savefig(figure, format="png", dpi=100)
+    place = Path(folder)
+    place.mkdir(parents=True, exist_ok=True)
+    write_image(place / "render.png", result.render(), transfer=result.picture.transfer)
+    atomic_write(place / "fit.png", figure.getvalue())
+    text = json.dumps(as_json(result, command), indent=1, ensure_ascii=False) + "\n"
+    atomic_write(place / "fit.json", text.encode())
+
+
+def html(result: FitResult) -> str:
+    """A table for notebooks."""
+    head = "<tr><th>parameter</th><th>value</th><th>standard error</th><th></th></tr>"
+    body = "".join(
+        "<tr>" + "".join(f"<td>{markup.escape(cell)}</td>" for cell in row) + "</tr>"
+        for row in _rows(result)
+    )
+    words = markup.escape("; ".join([result.message, *result.undetermined]))
+    return f"<table>{head}{body}</table><p>{words}</p>"
