@@ -3,8 +3,17 @@
 ``fit`` is the main job; ``Mitchell`` renders; ``radial_sum`` and ``Taps`` are what both stand on.
 """
 
+from typing import TYPE_CHECKING
+
 from godfit.errors import InputError
 from godfit.image import Image, read_image, write_image
+
+if TYPE_CHECKING:
+    from godfit.fitting import fit
+    from godfit.models import Mitchell
+    from godfit.radial import radial_sum
+    from godfit.result import Estimate, FitResult
+    from godfit.taps import CONVENTIONS, Taps
 
 __all__ = [
     "CONVENTIONS",

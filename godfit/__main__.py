@@ -65,9 +65,9 @@ def cli() -> None:
     """Read the parameters of god rays out of images."""
 
 
-def assignments(values: tuple[str, ...], option: str, optional: bool) -> dict[str, float | None]:
+def assignments(values: tuple[str, ...], option: str, optional: bool) -> dict[str, Any]:
     """``NAME=VALUE`` (or, if ``optional``, ``NAME``) -> a dictionary."""
-    found: dict[str, float | None] = {}
+    found: dict[str, Any] = {}
     for text in values:
         name, sign, value = text.partition("=")
         if not sign and optional:

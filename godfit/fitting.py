@@ -105,14 +105,18 @@ def fit(
     )
     settled, tangent = _next_dips(settled, tangent, model, seen, free, held)
     at = evidence(settled, tangent, seen)
-    more = undetermined(at.curvature, model.ranges(settled.coordinates), free)
+    more = undetermined(
+        at.blunt, model.ranges(settled.coordinates), free, keep=names.index("weight")
+    )
     if more:
-        # What is left open has wandered on noise: back to where it was held to begin with.
         open_ += more
         coordinates = settled.coordinates.copy()
         for index, _ in more:
             free[index] = False
-            coordinates[index] = _held_at(model, given, coordinates, begun[0], index)
+        if not free[0] and free[3]:
+            # Exposure has wandered on noise, and weight with it: back to what a user would expect.
+            default = model.convention.defaults.get("exposure", coordinates[0])
+            coordinates[0] = given.get("exposure", default)
         settled, tangent = search.settle(coordinates, model, seen, free, held)
         at = evidence(settled, tangent, seen)
     return _result(
@@ -214,21 +218,6 @@ def _pixels(picture: Picture, seed: int) -> np.ndarray:
     return np.flatnonzero(valid)
 
 
-def _held_at(
-    model: Mitchell,
-    given: dict[str, float],
-    coordinates: np.ndarray,
-    begun: np.ndarray,
-    index: int,
-) -> np.float32:
-    """Where to hold an open coordinate: at what was given, the shader's default, or the start."""
-    name = list(model.parameters)[index]
-    if name in ("exposure", "density") or is_light(name):
-        value = given.get(name, model.convention.defaults.get(name, begun[index]))
-        return np.float32(value)
-    return begun[index]
-
-
 def _result(
     settled: search.Settled,
     at: Evidence,
@@ -285,15 +274,14 @@ def _result(
         params=params,
         covariance=covariance,
         correlations=_correlations(names, covariance),
-        undetermined=tuple(
-            _sentence(i, p, names, values, at, free, by_coordinate) for i, p in open_
-        ),
+        undetermined=_sentences(open_, names, values),
         notes=tuple(f"{role}: {note}" for role, im in images.items() for note in im.notes),
         noise_levels=settled.sigma,
         rmse_levels=rmse,
         psnr_db=float(20 * np.log10(LEVELS / max(rmse, 1e-6))),
         pixels=len(pixels),
         pixels_clipped=int((picture.clipped() & picture.valid).sum()),
+        residual_correlation=structure,
         log_likelihood=settled.log_likelihood,
         timing_s=timing | {"solve": timing["solve"] - timing["compile"]},
         picture=picture,
@@ -326,15 +314,25 @@ def _correlations(names: list[str], covariance: np.ndarray) -> dict[str, float]:
     return {pair: value for pair, value in ordered if abs(value) > 0.1}
 
 
-def _sentence(index, partners, names, values, at, free, by_coordinate) -> str:
-    """An open coordinate in words."""
-    name, value = names[index], values[index]
-    if name == "exposure":
-        product = values[0] * values[3]
-        return (
-            f"only exposure*weight is determined ({product:.6g}); exposure was held at {value:.6g}"
-        )
-    if partners:
-        combined = " and ".join([name, *(names[i] for i in partners)])
-        return f"only a combination of {combined} is determined; {name} was held at {value:.6g}"
-    return f"{name} is not determined by this picture; it was held at {value:.6g}"
+def _sentences(
+    open_: list[tuple[int, list[int]]], names: list[str], values: np.ndarray
+) -> tuple[str, ...]:
+    """What is left open, in words."""
+    opened = [index for index, _ in open_]
+    said, alone = [], []
+    for index, partners in open_:
+        rest = [names[i] for i in partners if i not in opened]
+        if names[index] == "exposure" and 3 not in opened:
+            product = values[0] * values[3]
+            said.append(f"only exposure*weight is determined ({product:.6g})")
+        elif rest:
+            together = " and ".join([names[index], *rest])
+            said.append(f"only a combination of {together} is determined")
+        else:
+            alone.append(index)
+            continue
+        said[-1] += f"; {names[index]} was held at {values[index]:.6g}"
+    if alone:
+        held = ", ".join(f"{names[i]} (held at {values[i]:.6g})" for i in alone)
+        said.append(f"not determined by this picture: {held}")
+    return tuple(said)

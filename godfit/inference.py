@@ -16,48 +16,64 @@ from godfit.search import Settled, Tangent
 class Evidence(NamedTuple):
     """The likelihood about the fitted point.
 
-    ``curvature`` (p, p) is the sum of -d2 log-likelihood, ``scores`` (p, p) the sum of the outer
-    products of its slopes, ``gradient`` (p,) the sum of its slopes, all by coordinate;
-    ``prediction`` (m,) is in levels, ``score`` (m,) the slope of each value's log-likelihood in
-    units of sigma.
+    ``curvature`` (p, p) is the sum of -d2 log-likelihood by coordinate; ``blunt`` the same with
+    the rounding counted as noise, which is what least squares would know; ``gradient`` (p,) the sum
+    of the slopes; ``prediction`` (m,) is in levels, ``score`` (m,) the slope of each value's
+    log-likelihood in units of sigma.
     """
 
     curvature: np.ndarray
-    scores: np.ndarray
+    blunt: np.ndarray
     gradient: np.ndarray
     prediction: np.ndarray
     score: np.ndarray
 
     def covariance(self, free: np.ndarray) -> np.ndarray:
-        """(p, p) covariance of the coordinates, zero for those that are not free."""
-        information = self.curvature[np.ix_(free, free)]
-        # Scaled to a unit diagonal first: the coordinates' units differ by orders of magnitude.
-        size = np.sqrt(np.maximum(np.diag(information), 1e-300))
-        inverse = np.linalg.pinv(information / np.outer(size, size), hermitian=True)
+        """(p, p) covariance of the coordinates, zero for those that are not free.
+
+        The inverse of the curvature. Where rounding is all the noise there is, the likelihood may
+        be flat at its very top, all values inside their intervals; in such directions the
+        information is taken to be what least squares has, and is never less.
+        """
         covariance = np.zeros_like(self.curvature)
-        covariance[np.ix_(free, free)] = inverse / np.outer(size, size)
+        sharp, blunt = (m[np.ix_(free, free)] for m in (self.curvature, self.blunt))
+        # Scaled to a unit diagonal first: the coordinates' units differ by orders of magnitude.
+        size = np.sqrt(np.maximum(np.diag(blunt), 1e-30))
+        values, vectors = np.linalg.eigh(blunt / np.outer(size, size))
+        known = values > 1e-9 * max(values.max(initial=0), 1e-30)
+        root = vectors[:, known] / np.sqrt(values[known])
+        gain, turn = np.linalg.eigh(root.T @ (sharp / np.outer(size, size)) @ root)
+        root = root @ turn / np.sqrt(np.maximum(gain, 1.0))
+        covariance[np.ix_(free, free)] = root @ root.T / np.outer(size, size)
         return covariance
 
 
 @jax.jit
 def _evidence(prediction, jacobian, lo, hi, sigma):
-    jacobian = jacobian / sigma
-    pixel = interval((lo - prediction) / sigma, (hi - prediction) / sigma)
-    weighted = jacobian * pixel.curvature[:, None]
-    scores = jacobian * pixel.slope[:, None]
-    return weighted.T @ jacobian, scores.T @ scores, scores.sum(0), pixel.slope
+    half = jnp.where(jnp.isfinite(lo) & jnp.isfinite(hi), (hi - lo) / 2, 0.0).max()
+    blunt_sigma = jnp.sqrt(sigma**2 + half**2 / 3)
+
+    def pixels(sigma):
+        return interval((lo - prediction) / sigma, (hi - prediction) / sigma)
+
+    def curvature(pixel, sigma):
+        return (jacobian * (pixel.curvature / sigma**2)[:, None]).T @ jacobian
+
+    sharp = pixels(sigma)
+    blunt = curvature(pixels(blunt_sigma), blunt_sigma)
+    return curvature(sharp, sigma), blunt, (sharp.slope / sigma) @ jacobian, sharp.slope
 
 
 def evidence(settled: Settled, tangent: Tangent, seen: Observation) -> Evidence:
     """The evidence at a settled point."""
-    curvature, scores, gradient, score = _evidence(
+    curvature, blunt, gradient, score = _evidence(
         tangent.prediction, tangent.jacobian, seen.lo, seen.hi, jnp.float32(settled.sigma)
     )
     # Summed in scaled coordinates, where float32 holds all entries alike.
     size = np.outer(tangent.scale, tangent.scale).astype(np.float64)
     return Evidence(
         np.asarray(curvature, np.float64) / size,
-        np.asarray(scores, np.float64) / size,
+        np.asarray(blunt, np.float64) / size,
         np.asarray(gradient, np.float64) / tangent.scale,
         np.asarray(tangent.prediction),
         np.asarray(score),
@@ -65,24 +81,24 @@ def evidence(settled: Settled, tangent: Tangent, seen: Observation) -> Evidence:
 
 
 def undetermined(
-    information: np.ndarray, ranges: np.ndarray, free: np.ndarray
+    information: np.ndarray, ranges: np.ndarray, free: np.ndarray, keep: int
 ) -> list[tuple[int, list[int]]]:
     """Coordinates to hold because the picture leaves them open, each with those it trades with.
 
     A direction is open if moving along it over the coordinates' plausible ``ranges`` changes the
-    log-likelihood by less than 1/2. The coordinate that has most of it is held, and the rest looked
-    at again.
+    log-likelihood by less than 1/2. The coordinate that has most of it is held, ``keep`` (the one
+    to be left when only one number is known) last, and the rest looked at again.
     """
     open_: list[tuple[int, list[int]]] = []
-    left = list(np.flatnonzero(free))
+    left = [int(i) for i in np.flatnonzero(free)]
     while left:
         block = information[np.ix_(left, left)] * np.outer(ranges[left], ranges[left])
         values, vectors = np.linalg.eigh(block)
         if values[0] >= 1:
             break
         direction = np.abs(vectors[:, 0])
-        most = int(np.argmax(direction))
-        partners = [left[i] for i in np.flatnonzero(direction > 0.3) if i != most]
+        most = int(np.argmax(np.where(np.array(left) == keep, 0.3, 1.0) * direction))
+        partners = [left[int(i)] for i in np.flatnonzero(direction > 0.3) if i != most]
         open_.append((left[most], partners))
         del left[most]
     return open_

@@ -34,12 +34,12 @@ NARROW = 0.02
 class Interval(NamedTuple):
     """Log-likelihood of an interval and its derivatives by the prediction, in units of sigma."""
 
-    log: Float[Array, ...]
-    slope: Float[Array, ...]
-    curvature: Float[Array, ...]
+    log: Float[Array, "..."]
+    slope: Float[Array, "..."]
+    curvature: Float[Array, "..."]
 
 
-def interval(low: Float[Array, ...], high: Float[Array, ...]) -> Interval:
+def interval(low: Float[Array, "..."], high: Float[Array, "..."]) -> Interval:
     """log(Phi(high) - Phi(low)), its slope d/df and curvature -d2/df2, for low = (lo - f)/sigma,
     high = (hi - f)/sigma, low < high or both equal (a point). Finite for every finite or infinite
     argument; curvature lies in [0, 1]."""

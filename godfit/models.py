@@ -21,6 +21,9 @@ from godfit.radial import radial_sum
 from godfit.radial.reference import bilinear
 from godfit.taps import Convention, convention
 
+# By coordinate or by parameter; what lives between two calls is kept as a numpy array.
+Vector = Float[Array, " p"] | Float[np.ndarray, " p"]
+
 
 class AbstractModel(eqx.Module):
     """What fit and report need to know of a model."""
@@ -41,9 +44,7 @@ class AbstractModel(eqx.Module):
         """The point in fit coordinates, one for each parameter and in their order."""
 
     @abstractmethod
-    def moved(
-        self, coordinates: Float[Array, " p"], held: Float[Array, " p"] | None = None
-    ) -> AbstractModel:
+    def moved(self, coordinates: Vector, held: Vector | None = None) -> AbstractModel:
         """This model at another point. ``held`` holds parameters (not coordinates) at a value;
         NaN leaves them free."""
 
@@ -59,11 +60,11 @@ class AbstractModel(eqx.Module):
     def __call__(
         self,
         mask: Float[Array, "h w"] | Float[Array, "h w c"],
-        background: Float[Array, ...] | None = None,
+        background: Float[Array, "..."] | None = None,
         *,
         size: tuple[int, int] | None = None,
         pixels: Int[Array, " n"] | None = None,
-    ) -> Float[Array, ...]:
+    ) -> Float[Array, "..."]:
         """The image; see ``Mitchell``."""
 
 
@@ -114,9 +115,7 @@ class Mitchell(AbstractModel):
         gain = self.exposure * self.weight * per_ray
         return jnp.stack([self.exposure, kappa, self.density, gain, *self.light.reshape(-1)])
 
-    def moved(
-        self, coordinates: Float[Array, " p"], held: Float[Array, " p"] | None = None
-    ) -> Mitchell:
+    def moved(self, coordinates: Vector, held: Vector | None = None) -> Mitchell:
         if held is None:
             held = jnp.full_like(coordinates, jnp.nan)
         free = jnp.isnan(held)
@@ -151,9 +150,9 @@ class Mitchell(AbstractModel):
         mask: Float[Array, "h w"] | Float[Array, "h w c"],
         at: Float[Array, "*points 2"] | None = None,
         method: str = "auto",
-    ) -> Float[Array, ...]:
-        """The scattering pass alone, unclamped, at ``at`` (columns and rows of the mask in pixels) or
-        at every pixel of the mask."""
+    ) -> Float[Array, "..."]:
+        """The scattering pass alone, unclamped: at ``at``, (..., 2) columns and rows of the mask,
+        or at every pixel of the mask."""
         shader = self.convention
         passes = shader.taps(self.exposure, self.decay, self.density, self.weight, self.samples)
         total = 0.0
@@ -168,12 +167,12 @@ class Mitchell(AbstractModel):
     def __call__(
         self,
         mask: Float[Array, "h w"] | Float[Array, "h w c"],
-        background: Float[Array, ...] | None = None,
+        background: Float[Array, "..."] | None = None,
         *,
         size: tuple[int, int] | None = None,
         pixels: Int[Array, " n"] | None = None,
         method: str = "auto",
-    ) -> Float[Array, ...]:
+    ) -> Float[Array, "..."]:
         """Light pass, upsampled if need be, on the background; linear, not clamped.
 
         **Arguments:**

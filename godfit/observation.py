@@ -21,7 +21,7 @@ class Observation(eqx.Module):
     by channel, and what a model needs to predict them."""
 
     mask: Float[Array, "h w"] | Float[Array, "h w c"]
-    background: Float[Array, ...] | None
+    background: Float[Array, "..."] | None
     pixels: Int[Array, " n"]
     lo: Float[Array, " m"]
     hi: Float[Array, " m"]

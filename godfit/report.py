@@ -112,6 +112,7 @@ def as_json(result: FitResult, command: str = "") -> dict[str, Any]:
         "noise_levels": _finite(result.noise_levels),
         "rmse_levels": _finite(result.rmse_levels),
         "psnr_db": _finite(result.psnr_db),
+        "residual_correlation": _finite(result.residual_correlation),
         "log_likelihood": _finite(result.log_likelihood),
         "pixels": result.pixels,
         "pixels_clipped": result.pixels_clipped,

@@ -35,7 +35,7 @@ class FitResult:
     ``covariance`` is that of the parameters in the order of ``params`` (NaN where held);
     ``correlations`` keeps the pairs above 0.1 in size, largest first; ``undetermined`` names in
     words what the picture leaves open. ``noise_levels`` is the standard deviation of the noise
-    before rounding.
+    before rounding; ``residual_correlation`` that of the standardised residuals of neighbours.
     """
 
     converged: bool
@@ -51,6 +51,7 @@ class FitResult:
     psnr_db: float
     pixels: int
     pixels_clipped: int
+    residual_correlation: float
     log_likelihood: float
     timing_s: dict[str, float]
     picture: Picture

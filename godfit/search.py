@@ -18,9 +18,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from godfit.likelihood import deviance_residuals, log_likelihood
-from godfit.models import AbstractModel
+from godfit.models import AbstractModel, Vector
 from godfit.observation import Observation, Picture
-from godfit.solver import Point, Vector, linearise, scales, solve, solve_tangent
+from godfit.solver import Point, linearise, scales, solve, solve_tangent
 
 PIXELS = 2048
 # Blur (as a share of the longer side), starts kept, sigma in levels.
@@ -266,8 +266,18 @@ def reseed(
     around = np.pad(costs, 1, constant_values=np.inf)
     dips = np.flatnonzero((costs <= around[:-2]) & (costs <= around[2:]))
     chosen = dips[np.argsort(costs[dips])][:tries]
+    begun = [line[i] for i in chosen]
+    if start.sigma > EXPLAINED:
+        # Nothing near explains the picture: the whole range, a coordinate held at a time.
+        others = free.copy()
+        others[along] = False
+        coarse = np.linspace(0.15, 1.0, 18) * upper[along]
+        aside = np.clip(at + np.outer(coarse - here, follow), lower, upper).astype(np.float32)
+        held_there = [solve(z, others, held, model, seen, max(sigma, 1.0)) for z in aside]
+        held_there.sort(key=lambda p: p.cost)
+        begun += [p.coordinates for p in held_there[: tries // 2]]
     found = [start]
-    for i in chosen:
-        point = solve(line[i], free, held, model, seen, sigma)
+    for z in begun:
+        point = solve(z, free, held, model, seen, sigma)
         found.append(settle(point.coordinates, model, seen, free, held)[0])
     return sorted(found, key=lambda s: -s.log_likelihood)

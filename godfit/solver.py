@@ -13,11 +13,9 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
 from godfit.likelihood import deviance_residuals, interval
-from godfit.models import AbstractModel
+from godfit.models import AbstractModel, Vector
 from godfit.observation import Observation
 
-# By coordinate or parameter; what is kept between two solves is kept as numpy arrays.
-Vector = Float[Array, " p"] | Float[np.ndarray, " p"]
 Switches = Bool[Array, " p"] | Bool[np.ndarray, " p"]
 
 MAX_ACTIVE_SET_ROUNDS = 6

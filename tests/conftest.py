@@ -1,11 +1,12 @@
-"""Every test runs strictly: float64 unless it says otherwise, no silent broadcasting between ranks,
-and every annotation in godfit checked at run time (jaxtyping with beartype)."""
+"""Every test runs strictly: in float64 unless it asks for the program's float32, without silent
+broadcasting between ranks, and with every annotation in godfit checked (jaxtyping, beartype)."""
 
 import os
 
 os.environ["MPLBACKEND"] = "Agg"
 
 import jax
+import pytest
 from jaxtyping import install_import_hook
 
 jax.config.update("jax_enable_x64", True)
@@ -13,3 +14,10 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 
 # Before any test module imports godfit: the hook rewrites modules as they are loaded.
 install_import_hook("godfit", "beartype.beartype")
+
+
+@pytest.fixture
+def single_precision():
+    """float32, as the program runs: what the fit as a whole is made for."""
+    with jax.enable_x64(False):
+        yield

@@ -29,12 +29,12 @@ __all__ = ["METHODS", "radial_sum"]
 
 def radial_sum(
     mask: Float[Array, "h w"] | Float[Array, "h w c"],
-    light: Float[Array, 2],
+    light: Float[Array, "2"],
     taps: Taps,
     *,
     at: Float[Array, "*points 2"] | None = None,
     method: str = "auto",
-) -> Float[Array, ...]:
+) -> Float[Array, "..."]:
     """Evaluate the radial sum of ``mask``.
 
     **Arguments:**

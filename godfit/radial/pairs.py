@@ -6,8 +6,9 @@ and the two that it reads give its slope as well. Taps are geometric (``godfit.t
     S   = sum r^(k-1) I_k             S_r = sum (k-1) r^(k-2) I_k
     G_x = sum k r^(k-1) dI_k/dx       G_y = sum k r^(k-1) dI_k/dy
 
-where I_k = M(x + k step (l - x)), out = own M(x) + first S, and its derivatives by own, first, ratio, step and the light are products
-of these four with numbers that do not depend on the tap. No other derivative is worked out.
+where I_k = M(x + k step (l - x)), the sum is out = own M(x) + first S, and its derivatives by own,
+first, ratio, step and the light are products of these four with numbers that do not depend on the
+tap. No other derivative is worked out.
 
 Cost: taps x points x 2 reads, about three times that with the derivatives. Error: rounding.
 """
@@ -148,7 +149,7 @@ def _is_zero(tangent) -> bool:
 
 def pairs(
     mask: Float[Array, "h w"],
-    light: Float[Array, 2],
+    light: Float[Array, "2"],
     taps: Taps,
     at: Float[Array, "*points 2"] | None,
 ) -> Float[Array, "*points"]:

@@ -34,7 +34,7 @@ def bilinear(
 
 def reference(
     mask: Float[Array, "h w"],
-    light: Float[Array, 2],
+    light: Float[Array, "2"],
     taps: Taps,
     at: Float[Array, "*points 2"] | None,
 ) -> Float[Array, "*points"]:
