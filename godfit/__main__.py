@@ -265,7 +265,7 @@ def render(
             f"background: expected {shape[1]}x{shape[0]} pixels, got "
             f"{back.shape[1]}x{back.shape[0]}"
         )
-    from godfit.result import render as draw
+    from godfit.observation import render as draw
 
     write_image(output, draw(model, low, back, shape), transfer=transfer, bits=int(bits))
     return 0

@@ -11,7 +11,7 @@ import numpy as np
 
 from godfit import inputs, search
 from godfit.image import Image
-from godfit.inference import Evidence, evidence, neighbour_correlation, undetermined
+from godfit.inference import Evidence, Misfit, evidence, misfit, undetermined
 from godfit.inputs import Source
 from godfit.models import Mitchell
 from godfit.observation import LEVELS, Observation, Picture
@@ -27,9 +27,7 @@ MAX_VALUES = 1 << 21
 DOUBT = 8.0
 CANDIDATES = 3
 MAX_DIPS = 5
-MAX_RESEEDS = 4
-# Correlation of neighbouring residuals above which noise is no explanation.
-STRUCTURE = 0.3
+MAX_RESEEDS = 3
 
 
 def fit(
@@ -151,11 +149,17 @@ def _subset(
     along, dip, doubtful = _dips(settled, tangent, model, seen, free)
     if not doubtful and settled.sigma < 2 * search.SIGMAS[0]:
         return [settled.coordinates]
-    found = [settled]
+    say("other densities")
+    found = search.reseed(settled, along, model, picture, free, held, seed)
     for _ in range(MAX_RESEEDS):
-        say("other densities")
         best = found[0]
-        found = search.reseed(best, along, model, picture, free, held, seed)
+        if best.sigma < search.EXPLAINED or _like_noise(best, model, seen, held):
+            break
+        again = search.correct(best.coordinates, model, picture, free, held, seed)
+        again, _ = search.settle(again, model, seen, free, held)
+        if again.log_likelihood < best.log_likelihood:
+            again = best
+        found = search.reseed(again, along, model, picture, free, held, seed)
         if found[0].log_likelihood < best.log_likelihood + 1:
             break
     close: list[search.Settled] = []
@@ -164,6 +168,11 @@ def _subset(
         if apart and other.log_likelihood > found[0].log_likelihood - DOUBT:
             close.append(other)
     return [c.coordinates for c in close[:CANDIDATES]]
+
+
+def _like_noise(at: search.Settled, model: Mitchell, seen: Observation, held: np.ndarray) -> bool:
+    fitted = model.moved(jnp.asarray(at.coordinates), jnp.asarray(held))
+    return misfit(np.asarray(seen.predict(fitted)), seen).like_noise
 
 
 def _dips(
@@ -264,12 +273,12 @@ def _result(
     target = picture.levels.reshape(-1, picture.channels)[pixels].reshape(-1)
     error = np.clip(at.prediction, 0, LEVELS) - target
     rmse = float(np.sqrt(np.mean(error.astype(np.float64) ** 2)))
-    structure = neighbour_correlation(at.score, pixels, picture.size[1])
-    trusted = settled.sigma <= search.EXPLAINED or structure < STRUCTURE
+    left = misfit(at.prediction, seen)
+    trusted = settled.sigma <= search.WITHIN_ROUNDING or left.like_noise
     converged = trusted and settled.quiet
     return FitResult(
         converged=converged,
-        message=_message(settled, trusted, structure),
+        message=_message(settled, trusted, left),
         model=fitted,
         params=params,
         covariance=covariance,
@@ -281,7 +290,8 @@ def _result(
         psnr_db=float(20 * np.log10(LEVELS / max(rmse, 1e-6))),
         pixels=len(pixels),
         pixels_clipped=int((picture.clipped() & picture.valid).sum()),
-        residual_correlation=structure,
+        residual_correlation=left.correlation,
+        residual_tails=left.tails,
         log_likelihood=settled.log_likelihood,
         timing_s=timing | {"solve": timing["solve"] - timing["compile"]},
         picture=picture,
@@ -289,12 +299,12 @@ def _result(
     )
 
 
-def _message(settled: search.Settled, trusted: bool, structure: float) -> str:
+def _message(settled: search.Settled, trusted: bool, left: Misfit) -> str:
     if not trusted:
         return (
-            f"the residual is structured (neighbours correlate by {structure:.2f} at a noise of "
-            f"{settled.sigma:.2f} levels): the shader, the mask or the transfer may be another, or "
-            "the fit has missed the best point; try --start"
+            f"the residual is not noise (of {settled.sigma:.2f} levels, neighbours correlated by "
+            f"{left.correlation:.2f}, tails of {left.tails:.1f} where noise has 3): the shader, mask "
+            "or transfer may be another, or the best point was missed; try --start"
         )
     if not settled.quiet:
         return "the steps had not died down when the fit stopped; try --start near this answer"

@@ -12,6 +12,10 @@ from godfit.likelihood import interval
 from godfit.observation import Observation
 from godfit.search import Settled, Tangent
 
+# Beyond these, noise is no explanation of what is left.
+MAX_TAILS = 3.5
+MAX_CORRELATION = 0.3
+
 
 class Evidence(NamedTuple):
     """The likelihood about the fitted point.
@@ -104,10 +108,32 @@ def undetermined(
     return open_
 
 
-def neighbour_correlation(score: np.ndarray, pixels: np.ndarray, width: int) -> float:
-    """Correlation of the scores of horizontal neighbours, (n,) or (n, channels), pixels sorted."""
-    score = score.reshape(len(pixels), -1).mean(-1)
-    beside = (np.diff(pixels) == 1) & (pixels[1:] % width != 0)
-    a, b = score[:-1][beside], score[1:][beside]
-    power = float(np.mean(score**2))
-    return float(np.mean(a * b)) / power if len(a) and power > 0 else 0.0
+class Misfit(NamedTuple):
+    """How unlike noise the residual is: ``tails``, the fourth moment over the squared second (3 for
+    Gaussian noise), and ``correlation`` of horizontal neighbours (0)."""
+
+    tails: float
+    correlation: float
+
+    @property
+    def like_noise(self) -> bool:
+        return self.tails < MAX_TAILS and self.correlation < MAX_CORRELATION
+
+
+def misfit(prediction: np.ndarray, seen: Observation) -> Misfit:
+    """``Misfit`` of the values that are not clipped."""
+    lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
+    inside = np.isfinite(lo) & np.isfinite(hi)
+    residual = np.where(inside, (np.where(inside, lo, 0) + np.where(inside, hi, 0)) / 2, 0.0)
+    residual = np.where(inside, np.asarray(prediction) - residual, 0.0).astype(np.float64)
+    power = float(np.mean(residual[inside] ** 2)) if inside.any() else 0.0
+    if power == 0:
+        return Misfit(0.0, 0.0)
+    tails = float(np.mean(residual[inside] ** 4)) / power**2
+    rows = residual.reshape(-1, seen.channels)
+    known = inside.reshape(-1, seen.channels)
+    pixels = np.asarray(seen.pixels)
+    beside = (np.diff(pixels) == 1) & (pixels[1:] % seen.size[1] != 0)
+    both = known[:-1] & known[1:] & beside[:, None]
+    correlation = float(np.mean((rows[:-1] * rows[1:])[both])) / power if both.any() else 0.0
+    return Misfit(tails, correlation)

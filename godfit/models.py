@@ -53,6 +53,10 @@ class AbstractModel(eqx.Module):
         """Lower and upper bounds of the coordinates."""
 
     @abstractmethod
+    def linear(self) -> np.ndarray:
+        """(p,) True for coordinates that the light pass is linear in."""
+
+    @abstractmethod
     def ranges(self, coordinates: np.ndarray) -> np.ndarray:
         """How far each coordinate could plausibly lie from where it is."""
 
@@ -139,6 +143,9 @@ class Mitchell(AbstractModel):
         lights = 2 * self.light.shape[0]
         # kappa >= 0 is decay <= 1. Rays shorter than a thousandth show nothing of decay or weight.
         return [0.0, 0.0, 1e-3, 0.0] + [-inf] * lights, [inf, inf, 1.0, inf] + [inf] * lights
+
+    def linear(self) -> np.ndarray:
+        return np.isin(np.arange(4 + 2 * self.light.shape[0]), (0, 3))
 
     def ranges(self, coordinates: np.ndarray) -> np.ndarray:
         exposure, kappa, _, gain = coordinates[:4]

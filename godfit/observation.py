@@ -101,13 +101,13 @@ class Picture:
         if blur == 0:
             lo, hi = self.intervals(pixels)
         else:
-            smooth = _blurred(self.levels, blur).reshape(-1, self.channels)[pixels]
+            smooth = blurred(self.levels, blur).reshape(-1, self.channels)[pixels]
             unsafe = ndimage.gaussian_filter(self.clipped().astype(np.float32), blur) > 0.01
             unsafe = unsafe.reshape(-1)[pixels, None]
             lo = np.where(unsafe, -np.inf, smooth - max(self.half, 0.5)).astype(np.float32)
             hi = np.where(unsafe, np.inf, smooth + max(self.half, 0.5)).astype(np.float32)
-            mask = _blurred(mask, blur * mask.shape[0] / self.size[0])
-            background = None if background is None else _blurred(background, blur)
+            mask = blurred(mask, blur * mask.shape[0] / self.size[0])
+            background = None if background is None else blurred(background, blur)
         return Observation(
             jnp.asarray(mask),
             None if background is None else jnp.asarray(background),
@@ -118,6 +118,12 @@ class Picture:
             self.channels,
             self.transfer,
         )
+
+    def rendered(self, model: AbstractModel) -> np.ndarray:
+        """(h, w, c) levels of the model's whole image, clamped to the scale, not rounded."""
+        image = np.atleast_3d(render(model, self.mask, self.background, self.size))
+        levels = LEVELS * np.asarray(encode(image, self.transfer))
+        return np.broadcast_to(levels, self.levels.shape).astype(np.float32)
 
     def informative(self, count: int, seed: int) -> np.ndarray:
         """Sorted indices of ``count`` valid pixels: half at random, half where the target varies,
@@ -140,6 +146,19 @@ class Picture:
         return np.sort(np.concatenate([even, odd]))
 
 
+def render(
+    model: AbstractModel, mask: np.ndarray, background: np.ndarray | None, size: tuple[int, int]
+) -> np.ndarray:
+    """The model's image, (h, w) or (h, w, 3), linear, clamped to [0, 1]."""
+    back = None if background is None else jnp.asarray(background)
+    return np.clip(np.asarray(_image(model, jnp.asarray(mask), back, size)), 0, 1)
+
+
+@eqx.filter_jit
+def _image(model, mask, background, size):
+    return model(mask, background, size=size)
+
+
 def grey(image: np.ndarray) -> np.ndarray:
     """(h, w) mean of the channels."""
     return image if image.ndim == 2 else image.mean(-1)
@@ -154,6 +173,7 @@ def _grey(image: np.ndarray) -> tuple[np.ndarray, bool]:
     return image, False
 
 
-def _blurred(image: np.ndarray, sigma: float) -> np.ndarray:
+def blurred(image: np.ndarray, sigma: float) -> np.ndarray:
+    """(h, w, ...) under a Gaussian of ``sigma`` pixels, clamped to the edge."""
     axes = (sigma, sigma) + (0,) * (image.ndim - 2)
     return ndimage.gaussian_filter(image, axes, mode="nearest")

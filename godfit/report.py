@@ -113,6 +113,7 @@ def as_json(result: FitResult, command: str = "") -> dict[str, Any]:
         "rmse_levels": _finite(result.rmse_levels),
         "psnr_db": _finite(result.psnr_db),
         "residual_correlation": _finite(result.residual_correlation),
+        "residual_tails": _finite(result.residual_tails),
         "log_likelihood": _finite(result.log_likelihood),
         "pixels": result.pixels,
         "pixels_clipped": result.pixels_clipped,

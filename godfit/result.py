@@ -6,13 +6,10 @@ import dataclasses
 import os
 from typing import TYPE_CHECKING
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
-from godfit.image import encode
 from godfit.models import Mitchell
-from godfit.observation import LEVELS, Picture
+from godfit.observation import Picture, render
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,7 +32,8 @@ class FitResult:
     ``covariance`` is that of the parameters in the order of ``params`` (NaN where held);
     ``correlations`` keeps the pairs above 0.1 in size, largest first; ``undetermined`` names in
     words what the picture leaves open. ``noise_levels`` is the standard deviation of the noise
-    before rounding; ``residual_correlation`` that of the standardised residuals of neighbours.
+    before rounding; ``residual_correlation`` is that of neighbouring residuals, near 0 for noise,
+    ``residual_tails`` their kurtosis, near 3 for Gaussian noise.
     """
 
     converged: bool
@@ -52,6 +50,7 @@ class FitResult:
     pixels: int
     pixels_clipped: int
     residual_correlation: float
+    residual_tails: float
     log_likelihood: float
     timing_s: dict[str, float]
     picture: Picture
@@ -67,8 +66,7 @@ class FitResult:
     @property
     def residual(self) -> np.ndarray:
         """Fitted minus target in levels, both clamped to the scale, NaN where ignored."""
-        fitted = np.asarray(encode(self.render(), self.picture.transfer)) * np.float32(LEVELS)
-        residual = np.atleast_3d(fitted) - self.picture.levels
+        residual = self.picture.rendered(self.model) - self.picture.levels
         residual[~self.picture.valid] = np.nan
         return residual if residual.shape[-1] == 3 else residual[..., 0]
 
@@ -94,16 +92,3 @@ class FitResult:
         from godfit.report import html
 
         return html(self)
-
-
-def render(
-    model: Mitchell, mask: np.ndarray, background: np.ndarray | None, size: tuple[int, int]
-) -> np.ndarray:
-    """The model's image, (h, w) or (h, w, 3), linear, clamped to [0, 1]."""
-    back = None if background is None else jnp.asarray(background)
-    return np.clip(np.asarray(_image(model, jnp.asarray(mask), back, size)), 0, 1)
-
-
-@eqx.filter_jit
-def _image(model, mask, background, size):
-    return model(mask, background, size=size)

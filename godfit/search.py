@@ -19,14 +19,19 @@ from jaxtyping import Array, Float
 
 from godfit.likelihood import deviance_residuals, log_likelihood
 from godfit.models import AbstractModel, Vector
-from godfit.observation import Observation, Picture
+from godfit.observation import Observation, Picture, blurred
 from godfit.solver import Point, linearise, scales, solve, solve_tangent
 
 PIXELS = 2048
 # Blur (as a share of the longer side), starts kept, sigma in levels.
 LADDER = ((1 / 64, 4, 4.0), (1 / 128, 2, 2.0), (1 / 256, 1, 1.0), (1 / 512, 1, 1.0))
+CORRECTIONS = 3
+# A dip of density is about 1/samples wide.
+FAR_VALUES = 400
 # Noise below this many levels means that even the rounding of every pixel is explained.
 EXPLAINED = 0.05
+# Noise below this is lost in the rounding: masks that were rounded themselves leave as much.
+WITHIN_ROUNDING = 0.125
 # Levels, from well under the least that float32 leaves to the coarsest that means anything.
 WALLS = 1 << 15
 SIGMA_VALUES = 1 << 15
@@ -194,6 +199,38 @@ def _near_walls(prediction: Float[Array, " m"], seen: Observation) -> Array | sl
     return jnp.asarray(np.sort(np.argpartition(slack, WALLS)[:WALLS]))
 
 
+def correct(
+    start: np.ndarray,
+    model: AbstractModel,
+    picture: Picture,
+    free: np.ndarray,
+    held: np.ndarray,
+    seed: int,
+) -> np.ndarray:
+    """Down the ladder again with its bias taken out.
+
+    A picture from a blurred mask is not the blurred picture: far along the ray the mask should be
+    blurred less, which draws density away from 1. The difference between the two at the present
+    point is added to the blurred target, as coarse levels are corrected in multigrid (the full
+    approximation scheme: Brandt, Math. Comp. 31 (1977), 333).
+    """
+    pixels = picture.informative(PIXELS, seed)
+    lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
+    z = start
+    for share, _, sigma in LADDER:
+        blur = share * max(picture.size)
+        seen = picture.observe(pixels, blur)
+        for _ in range(CORRECTIONS):
+            at = model.moved(jnp.asarray(z), jnp.asarray(held))
+            sharp = picture.rendered(at)
+            coarse = seen.predict(at)
+            bias = coarse - blurred(sharp, blur).reshape(-1, picture.channels)[pixels].reshape(-1)
+            shifted = eqx.tree_at(lambda s: (s.lo, s.hi), seen, (seen.lo + bias, seen.hi + bias))
+            z = solve(z, free, held, model, shifted, sigma, bounded=False).coordinates
+            z = np.clip(z, lower, upper)
+    return z
+
+
 @eqx.filter_jit
 def _valley(
     coordinates: Vector,
@@ -238,7 +275,7 @@ def reseed(
     held: np.ndarray,
     seed: int,
     *,
-    tries: int = 8,
+    tries: int = 6,
 ) -> list[Settled]:
     """Walk along the valley of coordinate ``along`` and settle anew in its deepest dips; the best
     first, ``start`` among them."""
@@ -247,35 +284,32 @@ def reseed(
     smooth = picture.observe(pixels, LADDER[1][0] * max(picture.size))
     lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
     at = start.coordinates
-    follow = np.asarray(
-        _valley(jnp.asarray(at), free.astype(np.float32), held, along, model, smooth)
-    )
     here = at[along]
-    # Finer near by, where the dips of single bands lie; a hundredth apart over the whole range.
-    near = here * (1 + np.linspace(-0.06, 0.06, 121))
-    far = np.geomspace(max(lower[along], 0.05), upper[along], 200)
-    values = np.sort(np.concatenate([near, far]))
-    values = values[(values >= lower[along]) & (values <= upper[along])]
-    line = at + np.outer(values - here, follow)
-    line = np.clip(line, lower, upper).astype(np.float32)
+    # Two lines through the start: one where all other coordinates follow along the valley's floor,
+    # one where only those that the image is linear in do, for a start that is right but for this.
+    linear = free & model.linear()
+    lines = []
+    for moving in (free, linear):
+        switch = moving.astype(np.float32)
+        switch[along] = 1
+        follow = np.asarray(_valley(jnp.asarray(at), switch, held, along, model, smooth))
+        near = here * (1 + np.linspace(-0.06, 0.06, 121))
+        far = np.linspace(max(lower[along], 0.05), upper[along], FAR_VALUES)
+        values = np.sort(np.concatenate([near, far]))
+        values = values[(values >= lower[along]) & (values <= upper[along])]
+        lines.append(np.clip(at + np.outer(values - here, follow), lower, upper))
     # As sharp as the start is good: a blunter likelihood cannot tell the dips apart, a sharper one
     # sees nothing of those whose bottom lies a little beside the line.
     sigma = float(np.clip(start.sigma, 0.02, 0.3))
-    costs = np.asarray(_costs(jnp.asarray(line), held, model, seen, jnp.float32(sigma)))
-    costs = np.where(np.isfinite(costs), costs, np.inf)
-    around = np.pad(costs, 1, constant_values=np.inf)
-    dips = np.flatnonzero((costs <= around[:-2]) & (costs <= around[2:]))
-    chosen = dips[np.argsort(costs[dips])][:tries]
-    begun = [line[i] for i in chosen]
-    if start.sigma > EXPLAINED:
-        # Nothing near explains the picture: the whole range, a coordinate held at a time.
-        others = free.copy()
-        others[along] = False
-        coarse = np.linspace(0.15, 1.0, 18) * upper[along]
-        aside = np.clip(at + np.outer(coarse - here, follow), lower, upper).astype(np.float32)
-        held_there = [solve(z, others, held, model, seen, max(sigma, 1.0)) for z in aside]
-        held_there.sort(key=lambda p: p.cost)
-        begun += [p.coordinates for p in held_there[: tries // 2]]
+    begun: list[np.ndarray] = []
+    for line in lines:
+        costs = np.asarray(
+            _costs(jnp.asarray(line, jnp.float32), held, model, seen, jnp.float32(sigma))
+        )
+        costs = np.where(np.isfinite(costs), costs, np.inf)
+        around = np.pad(costs, 1, constant_values=np.inf)
+        dips = np.flatnonzero((costs <= around[:-2]) & (costs <= around[2:]))
+        begun += list(line[dips[np.argsort(costs[dips])][:tries]].astype(np.float32))
     found = [start]
     for z in begun:
         point = solve(z, free, held, model, seen, sigma)

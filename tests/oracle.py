@@ -1,5 +1,5 @@
-"""The shaders' arithmetic written out from their formulas with numpy and scipy, sharing no code with
-godfit: what godfit is held against. Images have row 0 at the top; u points right, v up."""
+"""The shaders' arithmetic written out from their formulas with numpy and scipy: what godfit, with
+which it shares no code, is held against. Images have row 0 at the top; u points right, v up."""
 
 import numpy as np
 from scipy import ndimage
@@ -28,9 +28,7 @@ LIGHTS = {
 def texture(image, u, v):
     """A bilinear texture read with CLAMP_TO_EDGE; texel centres lie at (i + 1/2)/N."""
     h, w = image.shape
-    return ndimage.map_coordinates(
-        image, [(1 - v) * h - 0.5, u * w - 0.5], order=1, mode="nearest"
-    )
+    return ndimage.map_coordinates(image, [(1 - v) * h - 0.5, u * w - 0.5], order=1, mode="nearest")
 
 
 def pixel_centres(h, w):

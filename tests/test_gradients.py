@@ -64,7 +64,8 @@ def test_jvp_at_points(light):
 @pytest.mark.parametrize("shader", ["mitchell", "dawntime", "pmndrs"])
 def test_reverse_is_forward(shader):
     z = vector(oracle.LIGHTS["off screen"])
-    agree(jax.jacrev(light_pass)(z, shader), jacobian(z, shader), 1e-12)
+    reverse = jax.jit(jax.jacrev(light_pass), static_argnames="shader")(z, shader)
+    agree(reverse, jacobian(z, shader), 1e-12)
 
 
 @pytest.mark.parametrize("method", ["pairs", "reference"])
@@ -74,6 +75,7 @@ def test_derivative_by_the_mask_is_the_sum_itself(method, at):
     light = jnp.array([0.3, 1.2])
     change = jnp.asarray(np.random.default_rng(1).normal(size=MASK.shape))
 
+    @jax.jit
     def sum_of(mask):
         return radial_sum(mask, light, TAPS, at=at, method=method)
 
@@ -103,7 +105,7 @@ def test_everything_moves_at_once():
 def test_check_grads_on_a_smooth_mask(shader):
     z = vector((0.37, 0.62))
     check_grads(
-        lambda z: light_pass(z, shader, mask=SMOOTH), (z,), order=1, modes=["fwd", "rev"],
+        jax.jit(lambda z: light_pass(z, shader, mask=SMOOTH)), (z,), order=1, modes=["fwd", "rev"],
         eps=1e-7, atol=1e-6, rtol=1e-5,
     )  # fmt: skip
 
@@ -150,7 +152,7 @@ def summed_gradient(z, mask):
 
 
 # One of every kind of taps; the others share theirs with mitchell.
-TAP_FUNCTIONS = ("mitchell", "dawntime", "vesper", "pmndrs", "three")
+TAP_FUNCTIONS = ("mitchell", "dawntime", "pmndrs", "three")
 
 
 @pytest.mark.parametrize(
@@ -169,13 +171,14 @@ def test_finite_at_every_edge(point, light, mask):
 
 @pytest.mark.parametrize("light", [(0.37, 0.62), (-0.3, 1.2)])
 def test_three_against_central_differences(light):
-    """Exposure and light of the convention without a hand-written JVP. Its taps end at the light, so
-    that sums jump where one more fits in; few pixels are that near to one."""
+    """Exposure and light of the convention without a hand-written JVP. Its taps end at the light:
+    sums jump where one more fits in, and few pixels are that near to one."""
+    three = jax.jit(lambda z: light_pass(z, "three", "auto", SMOOTH))
     z, step = vector(light), 1e-7
     exact = np.asarray(jacobian(z, "three", "auto", SMOOTH))
     for i in (0, 4, 5):
         s = step * np.eye(len(NAMES))[i]
-        up, down = (light_pass(z + way * s, "three", "auto", SMOOTH) for way in (1, -1))
+        up, down = (three(z + way * s) for way in (1, -1))
         difference = np.asarray(up - down) / (2 * step)
         close = np.abs(difference - exact[..., i]) < 1e-5 * np.abs(exact[..., i]).max()
         assert close.mean() > 0.97, NAMES[i]
@@ -185,7 +188,7 @@ def test_points_are_not_differentiated_by_pairs():
     def sum_at(at, method):
         return radial_sum(MASK, jnp.array([0.3, 0.4]), TAPS, at=at, method=method)
 
-    with pytest.raises(ValueError, match="not differentiable in `at`.*use 'reference'"):
+    with pytest.raises(ValueError, match=r"not differentiable in `at`.*use 'reference'"):
         jax.jacfwd(sum_at)(AT, "pairs")
     assert np.isfinite(jax.jacfwd(sum_at)(AT, "reference")).all()
 
@@ -228,6 +231,7 @@ class TestCoordinates:
         go where they would have gone, but for what follows from it."""
         z = model.coordinates() * 1.1 + 0.01
         names = list(model.parameters)
+        derivative = jax.jit(jax.jacfwd(lambda z, held: numbers(model.moved(z, held))))
         follows = {"exposure": {"weight"}, "density": {"decay", "weight"}}
         for i, name in enumerate(names):
             held = jnp.full(len(names), jnp.nan).at[i].set(0.123)
@@ -235,7 +239,7 @@ class TestCoordinates:
             assert moved.values()[name] == 0.123
             for other in set(names) - {name} - follows.get(name, set()):
                 assert moved.values()[other] == free.values()[other]
-            by_z = jax.jacfwd(lambda z, held=held: numbers(model.moved(z, held)))(z)
+            by_z = derivative(z, held)
             assert not by_z[i].any()
             assert np.isfinite(by_z).all()
 
@@ -244,17 +248,15 @@ class TestCoordinates:
         differences, which are smooth."""
         z, step = model.coordinates() + 0.003, 1e-6
         shifts = step * jnp.eye(len(z))
-        by_z = jnp.stack(
-            [(numbers(model.moved(z + s)) - numbers(model.moved(z - s))) / (2 * step) for s in shifts],
-            axis=-1,
-        )
+        at = jax.jit(lambda z: numbers(model.moved(z)))
+        by_z = jnp.stack([(at(z + s) - at(z - s)) / (2 * step) for s in shifts], axis=-1)
 
         def image(parameters):
             here = Mitchell(*parameters[:4], parameters[4:], model.shader, model.samples)
             return here.light_pass(MASK)
 
-        expected = jax.jacfwd(image)(numbers(model.moved(z))) @ by_z
-        actual = jax.jacfwd(lambda z: model.moved(z).light_pass(MASK))(z)
+        expected = jax.jit(jax.jacfwd(image))(numbers(model.moved(z))) @ by_z
+        actual = jax.jit(jax.jacfwd(lambda z: model.moved(z).light_pass(MASK)))(z)
         np.testing.assert_allclose(actual, expected, rtol=1e-6, atol=1e-8)
 
 

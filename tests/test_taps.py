@@ -1,6 +1,7 @@
 """Shader conventions: each against its published formula, its defaults, and the identities between
 them (formulas.md, section 1)."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import oracle
@@ -23,9 +24,14 @@ DEFAULTS = {
 BLENDS = {"article-glsl": 1.1, "article-hlsl": 1.1, "babylon": 1.1}
 
 
+@eqx.filter_jit
+def light_pass(model, mask):
+    return model.light_pass(mask)
+
+
 def render(shader, exposure, decay, density, weight, samples, mask=MASK, light=LIGHT):
     model = Mitchell(exposure, decay, density, weight, light, shader, samples)
-    return np.asarray(model.light_pass(jnp.asarray(mask)))
+    return np.asarray(light_pass(model, jnp.asarray(mask)))
 
 
 def rms(image):
