@@ -1,4 +1,4 @@
-"""Random masks and truths for experiments: none of them is used anywhere else.
+"""Random masks and truths: none of the masks is used anywhere else.
 
 A truth is drawn over the whole range that a fit promises to recover, and its target is rendered by
 the reference sum in float64, independently of the method that the fit uses, then rounded to bytes.
@@ -45,7 +45,53 @@ def lattice(rng: np.random.Generator, size: int, light: np.ndarray) -> np.ndarra
     return mask
 
 
-MASKS = {"triangles": triangles, "clouds": clouds, "lattice": lattice}
+def ellipses(rng: np.random.Generator, size: int, light: np.ndarray) -> np.ndarray:
+    """A soft sun behind dark and half-transparent ellipses."""
+    x, y = _grid(size)
+    mask = np.exp(-(np.hypot(x - light[0], y - light[1]) ** 2) / rng.uniform(0.01, 0.1))
+    mask = np.maximum(mask, rng.uniform(0.02, 0.2))
+    for _ in range(rng.integers(5, 20)):
+        u, v, angle = *rng.uniform(0, 1, 2), rng.uniform(0, np.pi)
+        along = (x - u) * np.cos(angle) + (y - v) * np.sin(angle)
+        across = (y - v) * np.cos(angle) - (x - u) * np.sin(angle)
+        inside = np.hypot(along / rng.uniform(0.03, 0.15), across / rng.uniform(0.01, 0.06)) < 1
+        mask[inside] *= rng.choice([0.0, 0.0, 0.5])
+    return mask
+
+
+def terrain(rng: np.random.Generator, size: int, light: np.ndarray) -> np.ndarray:
+    """Black ridges before a graded sky."""
+    x, y = _grid(size)
+    mask = rng.uniform(0.1, 0.4) + rng.uniform(0.1, 0.6) * y
+    for level in (0.15, 0.3, 0.45):
+        waves = sum(
+            rng.uniform(0, 0.3 / k) * np.sin(2 * np.pi * k * x + rng.uniform(0, 6.3))
+            for k in range(1, 12)
+        )
+        mask[y < level * rng.uniform(0.5, 1.2) + 0.3 * waves] *= rng.uniform(0, 0.4)
+    return mask
+
+
+def maze(rng: np.random.Generator, size: int, light: np.ndarray) -> np.ndarray:
+    """Bright and dark cells of a coarse grid, turned."""
+    x, y = _grid(size)
+    angle, cells = rng.uniform(0, np.pi), int(rng.integers(5, 16))
+    along = (x - 0.5) * np.cos(angle) + (y - 0.5) * np.sin(angle) + 1
+    across = (y - 0.5) * np.cos(angle) - (x - 0.5) * np.sin(angle) + 1
+    values = rng.choice([0.0, 0.05, rng.uniform(0.3, 1)], (2 * cells, 2 * cells))
+    return values[(along * cells).astype(int), (across * cells).astype(int)]
+
+
+MASKS = {
+    "triangles": triangles,
+    "clouds": clouds,
+    "lattice": lattice,
+    "ellipses": ellipses,
+    "terrain": terrain,
+    "maze": maze,
+}
+# The last three were not looked at while the fit was made.
+FRESH = ("ellipses", "terrain", "maze")
 
 
 def _grid(size: int) -> tuple[np.ndarray, np.ndarray]:

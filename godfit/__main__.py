@@ -167,6 +167,7 @@ def fit(
     A TARGET x.png with an x.toml beside it takes its mask, shader and samples from there; options
     override it. The result goes to x.godfit/: fit.json, fit.png, render.png.
     """
+    from godfit.cache import keep_compiled
     from godfit.image import read_image
     from godfit.sidecar import read_sidecar
 
@@ -186,6 +187,7 @@ def fit(
     valid = look_away(ignore, image.values.shape[:2])
     with Progress(quiet, verbose) as progress:
         progress("loading JAX")
+        keep_compiled()
         from godfit.fitting import fit as run
         from godfit.report import as_json as record
         from godfit.report import save

@@ -303,8 +303,8 @@ def _message(settled: search.Settled, trusted: bool, left: Misfit) -> str:
     if not trusted:
         return (
             f"the residual is not noise (of {settled.sigma:.2f} levels, neighbours correlated by "
-            f"{left.correlation:.2f}, tails of {left.tails:.1f} where noise has 3): the shader, mask "
-            "or transfer may be another, or the best point was missed; try --start"
+            f"{left.correlation:.2f}, tails of {left.tails:.1f} where noise has 3): the shader, "
+            "mask or transfer may be another, or the best point was missed; try --start"
         )
     if not settled.quiet:
         return "the steps had not died down when the fit stopped; try --start near this answer"

@@ -64,8 +64,8 @@ def test_fit_is_that_of_lmfit(by_godfit, by_lmfit):
     assert list(by_godfit.params) == list(TRUTH)
     for name, estimate in by_godfit.params.items():
         theirs = by_lmfit.params[name]
-        assert abs(estimate.value - theirs.value) < 0.05 * theirs.stderr, name
-        assert estimate.stderr == pytest.approx(theirs.stderr, rel=0.05), name
+        assert abs(estimate.value - theirs.value) < 0.02 * theirs.stderr, name
+        assert estimate.stderr == pytest.approx(theirs.stderr, rel=0.01), name
     for pair, correlation in by_godfit.correlations.items():
         a, b = pair.split(",")
         assert correlation == pytest.approx(by_lmfit.params[a].correl[b], abs=0.02), pair
