@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,14 +14,14 @@ from godfit import inputs, search
 from godfit.image import Image
 from godfit.inference import Evidence, Misfit, evidence, misfit, undetermined
 from godfit.inputs import Source
-from godfit.models import Mitchell
+from godfit.models import Mitchell, Vector
 from godfit.observation import LEVELS, Observation, Picture
 from godfit.parameters import is_light
 from godfit.result import Estimate, FitResult
 from godfit.screen import starts
 from godfit.timing import compile_seconds
 
-STARTS = 8
+STARTS = 6
 # More values than this say nothing new, and their derivatives would fill the memory.
 MAX_VALUES = 1 << 21
 # Log-likelihood on the subset by which a point may fall behind and still be tried on all pixels.
@@ -68,8 +69,30 @@ def fit(
     **Returns:** a `FitResult`. Raises `InputError`, a ValueError of one line, for input that cannot
     be fitted.
     """
+    with jax.enable_x64(False):
+        # The program is one of float32, whatever the caller has set.
+        return _fit(
+            target, mask, background, shader, samples, lights, pass_scale, fix or {}, start or {},
+            valid, transfer, seed, progress or (lambda text: None),
+        )  # fmt: skip
+
+
+def _fit(
+    target: Source,
+    mask: Source,
+    background: Source | None,
+    shader: str,
+    samples: int | None,
+    lights: int,
+    pass_scale: float,
+    fix: Mapping[str, float | None],
+    start: Mapping[str, float],
+    valid: np.ndarray | None,
+    transfer: str,
+    seed: int,
+    say: Callable[[str], None],
+) -> FitResult:
     began, compiled = time.perf_counter(), compile_seconds()
-    say = progress or (lambda text: None)
     images = {"target": inputs.image(target, transfer), "mask": inputs.image(mask, "none")}
     if background is not None:
         images["background"] = inputs.image(background, transfer)
@@ -77,7 +100,7 @@ def fit(
         images["target"], images["mask"], images.get("background"), valid, pass_scale
     )
     model = inputs.template(shader, samples, lights)
-    given, held = inputs.parameters(model, fix or {}, start or {})
+    given, held = inputs.parameters(model, fix, start)
     names = list(model.parameters)
     used = np.array([is_light(n) or n in model.convention.parameters for n in names])
     free = np.isnan(held) & used
@@ -242,13 +265,8 @@ def _result(
     timing: dict[str, float],
 ) -> FitResult:
     names = list(model.parameters)
-    fitted = model.moved(jnp.asarray(settled.coordinates), jnp.asarray(held))
-    values = np.array([float(v) for v in fitted.values().values()])
-
-    def parameters(z):
-        return jnp.stack(list(model.moved(z, jnp.asarray(held)).values().values()))
-
-    by_coordinate = np.asarray(jax.jacfwd(parameters)(jnp.asarray(settled.coordinates)), np.float64)
+    fitted, values, by_coordinate = _parameters(model, settled.coordinates, held)
+    values, by_coordinate = np.asarray(values), np.asarray(by_coordinate, np.float64)
     covariance = by_coordinate @ at.covariance(free) @ by_coordinate.T
     # A parameter that an open coordinate would change is not known, however well the rest is.
     opened = [i for i, _ in open_]
@@ -297,6 +315,16 @@ def _result(
         picture=picture,
         inputs={role: {"path": im.path, "sha256": im.sha256} for role, im in images.items()},
     )
+
+
+@eqx.filter_jit
+def _parameters(model: Mitchell, coordinates: Vector, held: Vector):
+    """The model at ``coordinates``, its parameters (p,), their derivatives (p, p) by coordinate."""
+
+    def values(z):
+        return jnp.stack(list(model.moved(z, held).values().values()))
+
+    return model.moved(coordinates, held), values(coordinates), jax.jacfwd(values)(coordinates)
 
 
 def _message(settled: search.Settled, trusted: bool, left: Misfit) -> str:

@@ -57,7 +57,9 @@ def interval(low: Float[Array, "..."], high: Float[Array, "..."]) -> Interval:
     slope = (density_a - density_b) * jnp.where(middle > 0, -1.0, 1.0)
     curvature = slope * slope + b * density_b - a * density_a
     # Far out the two terms are large and nearly equal; their difference tends to 1 - 1/b^2.
-    curvature = jnp.where(b < -8, 1 - 1 / (b * b), jnp.clip(curvature, 0, 1))
+    curvature = jnp.where(
+        b < -8, 1 - jnp.minimum(1 / (b * b), width * width / 12), jnp.clip(curvature, 0, 1)
+    )
     point = -middle * middle / 2 - LOG_SQRT_2PI + jnp.log(jnp.where(width > 0, width, 1.0))
     return Interval(
         jnp.where(narrow, point, log),
@@ -99,10 +101,13 @@ def _residuals(prediction, lo, hi, sigma):
     low, high = (lo - prediction) / sigma, (hi - prediction) / sigma
     pixel = interval(low, high)
     above = low + high > 0
-    deviance = 2 * (_best(lo, hi, sigma) - pixel.log)
+    best = _best(lo, hi, sigma)
+    deviance = 2 * (best - pixel.log)
     size = jnp.sqrt(jnp.maximum(deviance, 0.0))
     # d r/d f = -slope / r, which tends to the root of the curvature in the middle.
-    small = size < 0.02
+    # What is near depends on what the whole interval spans: inside a wide one the deviance is small
+    # all over.
+    small = deviance <= 4e-4 * jnp.minimum(1.0, -best)
     ratio = jnp.abs(pixel.slope) / jnp.where(small, 1.0, size)
     slope = jnp.where(small, jnp.sqrt(pixel.curvature), ratio) / sigma
     return jnp.where(above, size, -size), -slope

@@ -23,6 +23,8 @@ from godfit.taps import Convention, convention
 
 # By coordinate or by parameter; what lives between two calls is kept as a numpy array.
 Vector = Float[Array, " p"] | Float[np.ndarray, " p"]
+# By pixel and channel.
+Values = Float[Array, " m"] | Float[np.ndarray, " m"]
 
 
 class AbstractModel(eqx.Module):
@@ -164,11 +166,11 @@ class Mitchell(AbstractModel):
         passes = shader.taps(self.exposure, self.decay, self.density, self.weight, self.samples)
         total = 0.0
         for light in self.light:
-            image = 1 - mask if shader.complement else mask
+            image = 1 - mask if shader.box else mask
             for taps in passes[:-1]:
                 image = radial_sum(image, light, taps, method=method)
             image = radial_sum(image, light, passes[-1], at=at, method=method)
-            total += self.exposure * (1 - image) if shader.complement else image
+            total += self.exposure * (1 - image) if shader.box else image
         return jnp.asarray(total)
 
     def __call__(
@@ -232,8 +234,8 @@ class Mitchell(AbstractModel):
             # A few pixels need no whole picture: only the four texels about each.
             i, j = jnp.floor(x), jnp.floor(y)
             columns, rows = (
-                jnp.clip(i + jnp.array([[0], [1], [0], [1]]), 0, w - 1),
-                jnp.clip(j + jnp.array([[0], [0], [1], [1]]), 0, h - 1),
+                jnp.clip(i[None] + jnp.array([[0], [1], [0], [1]]), 0, w - 1),
+                jnp.clip(j[None] + jnp.array([[0], [0], [1], [1]]), 0, h - 1),
             )
             texels = self.light_pass(mask, jnp.stack([columns, rows], -1), method)
             texels = jnp.clip(texels, 0, 1)

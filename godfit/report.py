@@ -155,15 +155,20 @@ def plot(result: FitResult) -> Figure:
         ("fitted", fitted),
         ("fitted - target, levels", residual),
     )
-    panel = 4.0
-    figure = Figure(
-        figsize=(3 * panel + 1.2, panel * min(max(height / width, 0.4), 1.6) + 2.4),
-        layout="constrained",
-    )
+    # Laid out by hand, in inches: matplotlib's own layout draws everything several times over.
+    wide, tall, gap, text = 4.0, 4.0 * min(max(height / width, 0.3), 2.0), 0.45, 1.35
+    whole = (3 * (wide + gap) + 0.9, tall + text + 1.0)
+    figure = Figure(figsize=whole)
     FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(2, 3, height_ratios=[panel * height / width, 1.5])
+
+    def place(left: float, bottom: float, right: float, top: float):
+        return (
+            left / whole[0], bottom / whole[1], (right - left) / whole[0], (top - bottom) / whole[1]
+        )  # fmt: skip
+
     for column, (title, image) in enumerate(panels):
-        axes = figure.add_subplot(grid[0, column])
+        left = gap + column * (wide + gap)
+        axes = figure.add_axes(place(left, text + 0.3, left + wide, text + 0.3 + tall))
         signed = image is residual
         shown = axes.imshow(
             image[::step, ::step],
@@ -171,7 +176,7 @@ def plot(result: FitResult) -> Figure:
             vmin=-limit if signed else 0,
             vmax=limit if signed else 1,
             extent=(0, 1, 0, 1),
-            aspect=height / width,
+            aspect="auto",
             interpolation="nearest",
         )
         axes.set_title(title, fontsize=11)
@@ -179,15 +184,18 @@ def plot(result: FitResult) -> Figure:
         axes.set_yticks([0, 0.5, 1])
         axes.tick_params(labelsize=8)
         if signed:
-            figure.colorbar(shown, ax=axes, fraction=0.045, pad=0.02).ax.tick_params(labelsize=8)
+            beside = place(left + wide + 0.1, text + 0.3, left + wide + 0.25, text + 0.3 + tall)
+            figure.colorbar(shown, cax=figure.add_axes(beside)).ax.tick_params(labelsize=8)
         for u, v in np.asarray(result.model.light):
             _mark_light(axes, float(u), float(v))
-    _write_parameters(figure.add_subplot(grid[1, :]), result)
+    _write_parameters(figure.add_axes(place(gap, 0.05, whole[0] - gap, text)), result)
     state = "converged" if result.converged else "NOT CONVERGED"
     figure.suptitle(
         f"{result.model.shader}, {result.model.samples} samples: {state}, residual "
         f"{result.rmse_levels:.2f} levels rms",
         fontsize=12,
+        y=1 - 0.12 / whole[1],
+        va="top",
         color="black" if result.converged else "firebrick",
     )
     return figure

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import os
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from godfit.image import decode
 from godfit.models import Mitchell
-from godfit.observation import Picture, render
+from godfit.observation import LEVELS, Picture
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -56,17 +58,19 @@ class FitResult:
     picture: Picture
     inputs: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
 
+    @functools.cached_property
+    def _levels(self) -> np.ndarray:
+        return self.picture.rendered(self.model)
+
     def render(self) -> np.ndarray:
         """The fitted image, linear, clamped to [0, 1]; shaped like the target."""
-        picture = self.picture
-        image = render(self.model, picture.mask, picture.background, picture.size)
-        image = np.broadcast_to(np.atleast_3d(image), picture.levels.shape)
+        image = np.asarray(decode(self._levels / np.float32(LEVELS), self.picture.transfer))
         return image if image.shape[-1] == 3 else image[..., 0]
 
     @property
     def residual(self) -> np.ndarray:
         """Fitted minus target in levels, both clamped to the scale, NaN where ignored."""
-        residual = self.picture.rendered(self.model) - self.picture.levels
+        residual = self._levels - self.picture.levels
         residual[~self.picture.valid] = np.nan
         return residual if residual.shape[-1] == 3 else residual[..., 0]
 

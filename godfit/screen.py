@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
+from scipy import ndimage
 
 from godfit.image import decode
 from godfit.models import Mitchell
@@ -69,13 +70,13 @@ def _rays(
 
     def one(light):
         light_x, light_y = to_pixels(light, *mask.shape)
-        return bilinear(mask, x + t * (light_x - x), y + t * (light_y - y))
+        return bilinear(mask, x[None] + t * (light_x - x)[None], y[None] + t * (light_y - y)[None])
 
     return lax.map(one, light)
 
 
 @eqx.filter_jit
-def _complement_rays(
+def _box_rays(
     mask: Float[Array, "h w"],
     light: Float[Array, "lights 2"],
     at: Float[Array, "points 2"],
@@ -136,20 +137,20 @@ def starts(
         ],
         -1,
     ).astype(np.float32)
-    goal, trust = (jnp.asarray(z.ravel()[chosen], jnp.float32) for z in (target, weight))
+    goal, trust = (z.ravel()[chosen].astype(np.float32) for z in (target, weight))
     places, required = _places(light_grid(target, seed), given, lights)
-    if shader.complement:
+    if shader.box:
         shapes, along, scale, own = np.ones((1, 2)), np.ones((1, 1), np.float32), 1.0, 0 * goal
-        rays = _complement_rays(jnp.asarray(mask), jnp.asarray(places), jnp.asarray(at), model)
+        rays = _box_rays(jnp.asarray(mask), jnp.asarray(places), jnp.asarray(at), model)
     else:
         shapes = _shapes(given, model.samples)
         middles = (np.arange(STEPS) + 0.5) / STEPS
         # The last step of a ray may be covered in part.
         part = np.clip(shapes[:, 1:] * STEPS - np.arange(STEPS), 0, 1)
         along = (np.exp(-shapes[:, :1] * middles) * part / STEPS).astype(np.float32)
-        scale = float(shader.taps(1.0, 1.0, 1.0, 1.0, 2)[0].first)
-        own = bilinear(jnp.asarray(mask), jnp.asarray(at[:, 0]), jnp.asarray(at[:, 1]))
-        own = own * lights * shader.own_pixel
+        scale = shader.gain
+        own = ndimage.map_coordinates(mask, at[:, ::-1].T, order=1, mode="nearest")
+        own = own * np.float32(lights * shader.own)
         rays = _rays(jnp.asarray(mask), jnp.asarray(places), jnp.asarray(at))
     groups = np.arange(len(places))[:, None]
     if lights > 1:
@@ -160,7 +161,7 @@ def starts(
     found = []
     for i, j in _apart(cost, spots, shapes, keep):
         exposure, gain = e[i, j] / scale, g[i, j] / scale
-        if shader.complement:
+        if shader.box:
             exposure, gain = gain, 1.0
         elif not shader.own_pixel:
             exposure = shader.defaults["exposure"]
@@ -173,7 +174,9 @@ def starts(
 
 def _with_given(model: Mitchell, start: np.ndarray, given: dict[str, float]) -> np.ndarray:
     """``start`` with the given parameters put in."""
-    held = jnp.array([given.get(name, np.nan) for name in model.parameters], jnp.float32)
+    if not given:
+        return start
+    held = np.array([given.get(name, np.nan) for name in model.parameters], np.float32)
     # decay and weight are coordinates of their own only together with density and exposure, so the
     # given ones go in as parameters and come out as coordinates.
     at = model.moved(jnp.asarray(start), held)

@@ -18,13 +18,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from godfit.likelihood import deviance_residuals, log_likelihood
-from godfit.models import AbstractModel, Vector
+from godfit.models import AbstractModel, Values, Vector
 from godfit.observation import Observation, Picture, blurred
 from godfit.solver import Point, linearise, scales, solve, solve_tangent
 
 PIXELS = 2048
 # Blur (as a share of the longer side), starts kept, sigma in levels.
-LADDER = ((1 / 64, 4, 4.0), (1 / 128, 2, 2.0), (1 / 256, 1, 1.0), (1 / 512, 1, 1.0))
+LADDER = ((1 / 64, 3, 4.0), (1 / 128, 2, 2.0), (1 / 256, 1, 1.0), (1 / 512, 1, 1.0))
 CORRECTIONS = 3
 # A dip of density is about 1/samples wide.
 FAR_VALUES = 400
@@ -34,21 +34,26 @@ EXPLAINED = 0.05
 WITHIN_ROUNDING = 0.125
 # Levels, from well under the least that float32 leaves to the coarsest that means anything.
 WALLS = 1 << 15
-SIGMA_VALUES = 1 << 15
+SIGMA_VALUES = 1 << 14
 SIGMAS = np.geomspace(0.005, 81.92, 15).astype(np.float32)
 
 
 @jax.jit
 def _log_likelihoods(
-    prediction: Float[Array, " m"],
-    lo: Float[Array, " m"],
-    hi: Float[Array, " m"],
-    sigmas: Float[Array, " s"],
+    prediction: Values,
+    lo: Values,
+    hi: Values,
+    sigmas: Float[Array, " s"] | Float[np.ndarray, " s"],
 ) -> Float[Array, " s"]:
-    return jax.lax.map(lambda s: log_likelihood(prediction, lo, hi, s).sum(), sigmas)
+    pixels = jnp.asarray(prediction), jnp.asarray(lo), jnp.asarray(hi)
+
+    def total(sigma):
+        return log_likelihood(pixels[0], pixels[1], pixels[2], sigma).sum()
+
+    return jax.lax.map(total, jnp.asarray(sigmas))
 
 
-def best_sigma(prediction: Float[Array, " m"], seen: Observation) -> tuple[float, float]:
+def best_sigma(prediction: np.ndarray, seen: Observation) -> tuple[float, float]:
     """Noise in levels that makes the pixels likeliest, and their log-likelihood.
 
     A grid of sigmas is refined by finer ones about its best, on a part of the pixels that is
@@ -58,7 +63,7 @@ def best_sigma(prediction: Float[Array, " m"], seen: Observation) -> tuple[float
     if prediction.shape[0] > SIGMA_VALUES:
         # Drawn at random: a regular stride would fall into step with the rows.
         part = np.random.default_rng(0).integers(0, prediction.shape[0], SIGMA_VALUES)
-        values = tuple(z[part] for z in values)
+        values = tuple(np.asarray(z)[part] for z in values)
     sigmas, ratio = SIGMAS, SIGMAS[1] / SIGMAS[0]
     for _ in range(4):
         best = sigmas[int(np.nanargmax(_log_likelihoods(*values, sigmas)))]
@@ -68,9 +73,9 @@ def best_sigma(prediction: Float[Array, " m"], seen: Observation) -> tuple[float
     return float(best), log_likelihood_at(prediction, seen, float(best))
 
 
-def log_likelihood_at(prediction: Float[Array, " m"], seen: Observation, sigma: float) -> float:
+def log_likelihood_at(prediction: np.ndarray, seen: Observation, sigma: float) -> float:
     """Log-likelihood of all pixels."""
-    sigmas = jnp.full(1, sigma, jnp.float32)
+    sigmas = np.full(1, sigma, np.float32)
     return float(_log_likelihoods(prediction, seen.lo, seen.hi, sigmas)[0])
 
 
@@ -124,8 +129,8 @@ class Settled(NamedTuple):
 class Tangent(NamedTuple):
     """The model about a point: levels (m,), derivatives (m, p) by coordinates over ``scale``."""
 
-    prediction: Float[Array, " m"]
-    jacobian: Float[Array, "m p"]
+    prediction: np.ndarray
+    jacobian: np.ndarray
     scale: np.ndarray
 
 
@@ -146,14 +151,17 @@ def settle(
 
     def render(z):
         scale = scales(z)
-        return Tangent(*linearise(z, held, scale, model, seen), scale)
+        prediction, jacobian = linearise(z, held, scale, model, seen)
+        return Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
 
     tangent = render(start)
     sigma, likelihood = best_sigma(tangent.prediction, seen)
     best = Settled(start, sigma, likelihood, False)
     part = 1.0
     for _ in range(rounds):
-        z = _aim(best, tangent, model, seen, free)
+        z, promised = _aim(best, tangent, model, seen, free)
+        if promised < 0.5:
+            return best._replace(quiet=True), tangent
         z = best.coordinates + np.float32(part) * (z - best.coordinates)
         there = render(z)
         sigma, likelihood = best_sigma(there.prediction, seen)
@@ -171,32 +179,33 @@ def settle(
 
 def _aim(
     at: Settled, tangent: Tangent, model: AbstractModel, seen: Observation, free: np.ndarray
-) -> np.ndarray:
-    """Where the tangent's likelihood is largest."""
-    z, sigma = at.coordinates, at.sigma
+) -> tuple[np.ndarray, float]:
+    """Where the tangent's likelihood is largest, and what would be gained there."""
+    z, sigma, likelihood = at.coordinates, at.sigma, at.log_likelihood
+    lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
     for _ in range(5):
-        rows = _near_walls(tangent.prediction, seen) if sigma < EXPLAINED else slice(None)
-        prediction, jacobian = tangent.prediction[rows], tangent.jacobian[rows]
-        lo, hi = seen.lo[rows], seen.hi[rows]
-        shift = (z - at.coordinates) / tangent.scale
+        rows = slice(None)
+        if sigma < EXPLAINED:
+            rows = _near_walls(tangent.prediction, lo, hi)
+        jacobian = tangent.jacobian[rows]
+        moved = tangent.prediction[rows] + jacobian @ ((z - at.coordinates) / tangent.scale)
         z = solve_tangent(
-            z, free, model, tangent.scale, prediction + jacobian @ shift, jacobian, lo, hi, sigma
+            z, free, model, tangent.scale, moved, jacobian, lo[rows], hi[rows], sigma
         ).coordinates
-        shift = (z - at.coordinates) / tangent.scale
-        before = sigma
-        sigma = best_sigma(tangent.prediction + tangent.jacobian @ shift, seen)[0]
+        moved = tangent.prediction + tangent.jacobian @ ((z - at.coordinates) / tangent.scale)
+        before, (sigma, likelihood) = sigma, best_sigma(moved, seen)
         if abs(sigma - before) < 0.05 * before:
             break
-    return z
+    return z, likelihood - at.log_likelihood
 
 
-def _near_walls(prediction: Float[Array, " m"], seen: Observation) -> Array | slice:
+def _near_walls(prediction: np.ndarray, lo: np.ndarray, hi: np.ndarray) -> np.ndarray | slice:
     """The values nearest to the ends of their intervals. Where rounding is all the noise there is,
     the others are far inside and have no say."""
     if prediction.shape[0] <= WALLS:
         return slice(None)
-    slack = np.asarray(jnp.minimum(prediction - seen.lo, seen.hi - prediction))
-    return jnp.asarray(np.sort(np.argpartition(slack, WALLS)[:WALLS]))
+    slack = np.minimum(prediction - lo, hi - prediction)
+    return np.sort(np.argpartition(slack, WALLS)[:WALLS])
 
 
 def correct(
@@ -243,10 +252,10 @@ def _valley(
     """How the other coordinates follow coordinate ``along`` on the valley's floor."""
     jacobian = jax.jacfwd(lambda z: seen.predict(model.moved(z, held)))(coordinates)
     inside = jnp.isfinite(seen.lo) & jnp.isfinite(seen.hi)
-    jacobian = jnp.where(inside[:, None], jacobian, 0.0) * free
+    jacobian = jnp.where(inside[:, None], jacobian, 0.0) * free[None]
     size = jnp.sqrt((jacobian**2).sum(0))
     size = jnp.where(size > 0, size, 1.0)
-    others = (jacobian / size).at[:, along].set(0.0)
+    others = (jacobian / size[None]).at[:, along].set(0.0)
     follow = -jnp.linalg.lstsq(others, jacobian[:, along], rcond=1e-4)[0] / size
     return follow.at[along].set(1.0)
 

@@ -13,10 +13,12 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
 from godfit.likelihood import deviance_residuals, interval
-from godfit.models import AbstractModel, Vector
+from godfit.models import AbstractModel, Values, Vector
 from godfit.observation import Observation
 
 Switches = Bool[Array, " p"] | Bool[np.ndarray, " p"]
+
+Scalar = Float[Array, ""] | np.float32
 
 MAX_ACTIVE_SET_ROUNDS = 6
 MAX_STEPS = 12
@@ -50,7 +52,7 @@ def _least_squares(
     held: Vector,
     model: AbstractModel,
     seen: Observation,
-    sigma: Float[Array, ""],
+    sigma: Scalar,
 ):
     def residuals(y, _):
         at = model.moved(jnp.where(free, y * scale, start), held)
@@ -97,11 +99,11 @@ def _linear_least_squares(
     start: Vector,
     free: Switches,
     scale: Vector,
-    prediction: Float[Array, " m"],
-    jacobian: Float[Array, "m p"],
-    lo: Float[Array, " m"],
-    hi: Float[Array, " m"],
-    sigma: Float[Array, ""],
+    prediction: Values,
+    jacobian: Float[Array, "m p"] | Float[np.ndarray, "m p"],
+    lo: Values,
+    hi: Values,
+    sigma: Scalar,
 ):
     """The solve with the model replaced by its tangent: the likelihood alone is nonlinear."""
     share = lo.shape[0] ** -0.5
@@ -127,9 +129,7 @@ def solve(
     the answer, without them: the way there may lead outside, where the sum is as smooth."""
 
     def run(z, moving):
-        return _least_squares(
-            jnp.asarray(z), moving, scales(z), held, model, seen, jnp.float32(sigma)
-        )
+        return _least_squares(z, moving, scales(z), held, model, seen, np.float32(sigma))
 
     if not bounded:
         value, cost, settled, steps = run(start, free)
@@ -138,7 +138,7 @@ def solve(
 
     def slope(z):
         prediction, jacobian = linearise(z, held, np.ones_like(z), model, seen)
-        return _slope(prediction, jacobian, seen.lo, seen.hi, jnp.float32(sigma))
+        return _slope(prediction, jacobian, seen.lo, seen.hi, np.float32(sigma))
 
     return _inside(start, free, model, run, slope)
 
@@ -148,23 +148,21 @@ def solve_tangent(
     free: np.ndarray,
     model: AbstractModel,
     scale: np.ndarray,
-    prediction: Float[Array, " m"],
-    jacobian: Float[Array, "m p"],
-    lo: Float[Array, " m"],
-    hi: Float[Array, " m"],
+    prediction: Values,
+    jacobian: Float[Array, "m p"] | Float[np.ndarray, "m p"],
+    lo: Values,
+    hi: Values,
     sigma: float,
 ) -> Point:
     """``solve`` on the tangent at ``start``, given by ``linearise``; a small part of its cost."""
 
     def run(z, moving):
         shifted = prediction + jacobian @ ((z - start) / scale)
-        return _linear_least_squares(
-            jnp.asarray(z), moving, scale, shifted, jacobian, lo, hi, jnp.float32(sigma)
-        )
+        return _linear_least_squares(z, moving, scale, shifted, jacobian, lo, hi, np.float32(sigma))
 
     def slope(z):
         shifted = prediction + jacobian @ ((z - start) / scale)
-        return _slope(shifted, jacobian, lo, hi, jnp.float32(sigma)) / scale
+        return _slope(shifted, jacobian, lo, hi, np.float32(sigma)) / scale
 
     return _inside(start, free, model, run, slope)
 

@@ -12,7 +12,6 @@ what makes four sums enough for every derivative (see ``godfit.radial``).
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -56,28 +55,42 @@ class Taps(eqx.Module):
         return self.own + self.c.sum()
 
 
-TapsFunction = Callable[[Scalar, Scalar, Scalar, Scalar, int], tuple[Taps, ...]]
-
-
 @dataclass(frozen=True)
 class Convention:
     """What one shader does with its parameters.
 
-    ``taps`` maps (exposure, decay, density, weight, samples) to one ``Taps`` for each pass; the
-    passes run one after another. A ``complement`` convention runs them on 1 - M and shows
-    exposure * (1 - result); its taps hold no exposure. ``blend`` is how the light pass L goes onto
-    the background B: ``"add"`` is background_gain * B + L, ``"screen"`` is B + L - B L.
+    Most are E g (own M + w sum_{i=1..n-drop} d^(i-order) M_i). A ``box`` convention runs a pass of
+    equal weights for each of its steps (in texture coordinates) on 1 - M, one after another, and
+    shows E (1 - result). ``blend`` is how the light pass L goes onto the background B: ``"add"`` is
+    background_gain * B + L, ``"screen"`` is B + L - B L.
     """
 
     name: str
     formula: str
-    taps: TapsFunction
+    own: float = 1.0
+    drop: int = 0
+    order: int = 1
+    gain: float = 1.0
+    box: tuple[float, ...] = ()
     defaults: dict[str, float] = field(default_factory=dict)
-    parameters: tuple[str, ...] = ("exposure", "decay", "density", "weight")
     blend: Literal["add", "screen"] = "add"
     background_gain: float = 1.0
-    complement: bool = False
     remarks: str = ""
+
+    def taps(
+        self, exposure: Scalar, decay: Scalar, density: Scalar, weight: Scalar, samples: int
+    ) -> tuple[Taps, ...]:
+        """The taps of each pass. Those of a ``box`` convention do not hold the exposure."""
+        if self.box:
+            return tuple(Taps(1 / 6, 1 / 6, 1.0, step, 5, "uv") for step in self.box)
+        scale = self.gain * jnp.asarray(exposure)
+        first = scale * weight * jnp.asarray(decay) ** (1 - self.order)
+        return (Taps(self.own * scale, first, decay, density / samples, samples - self.drop),)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Those of exposure, decay, density and weight that it uses."""
+        return ("exposure",) if self.box else ("exposure", "decay", "density", "weight")
 
     @property
     def samples(self) -> int:
@@ -86,28 +99,8 @@ class Convention:
 
     @property
     def own_pixel(self) -> bool:
-        """Whether the pixel's own value has a tap: without one, only exposure*weight matters."""
-        return self.complement or float(self.taps(1.0, 1.0, 1.0, 1.0, 2)[0].own) != 0.0
-
-
-def _mitchell(own: float = 1.0, drop: int = 0, order: int = 1, gain: float = 1.0) -> TapsFunction:
-    """E g (own M(x) + w sum_{i=1..n-drop} d^(i-order) M(x - i Delta)), Delta = (x - l) rho / n."""
-
-    def taps(
-        exposure: Scalar, decay: Scalar, density: Scalar, weight: Scalar, samples: int
-    ) -> tuple[Taps, ...]:
-        scale = gain * jnp.asarray(exposure)
-        first = scale * weight * jnp.asarray(decay) ** (1 - order)
-        return (Taps(own * scale, first, decay, density / samples, samples - drop),)
-
-    return taps
-
-
-def _sousa(
-    exposure: Scalar, decay: Scalar, density: Scalar, weight: Scalar, samples: int
-) -> tuple[Taps, ...]:
-    """Three passes of six box taps at fixed steps of 6^-1, 6^-2, 6^-3 in texture coordinates."""
-    return tuple(Taps(1 / 6, 1 / 6, 1.0, 6.0**-p, 5, "uv") for p in (1, 2, 3))
+        """Whether the pixel's own value is shown: if not, only exposure*weight matters."""
+        return self.own != 0
 
 
 def _defaults(exposure: float, decay: float, density: float, weight: float, samples: int):
@@ -126,60 +119,58 @@ CONVENTIONS: dict[str, Convention] = {
         Convention(
             "mitchell",
             "B + E (M + w sum_{i=1..n} d^(i-1) M_i)",
-            _mitchell(),
             remarks="GPU Gems 3, ch. 13; no defaults published, 100 samples assumed",
         ),
         Convention(
             "dawntime",
             "B + E (M + w sum_{i=1..n-1} d^i M_i)",
-            _mitchell(drop=1, order=0),
-            _defaults(0.05, 0.99, 0.8, 0.8, 200),
+            drop=1,
+            order=0,
+            defaults=_defaults(0.05, 0.99, 0.8, 0.8, 200),
             remarks="decay before use; light pass at half resolution by default",
         ),
         Convention(
             "vesper",
             "B + E (M + w sum_{i=1..n-1} d^(i-1) M_i)",
-            _mitchell(drop=1),
-            _defaults(0.05, 0.99, 0.8, 0.8, 150),
+            drop=1,
+            defaults=_defaults(0.05, 0.99, 0.8, 0.8, 150),
             remarks="decay after use; light pass at half resolution by default",
         ),
         Convention(
             "article-glsl",
             "1.1 B + .4 E (M + w sum_{i=1..n} d^(i-1) M_i)",
-            _mitchell(gain=0.4),
-            _defaults(0.2, 0.96815, 0.926, 0.58767, 100),
+            gain=0.4,
+            defaults=_defaults(0.2, 0.96815, 0.926, 0.58767, 100),
             background_gain=1.1,
         ),
         Convention(
             "article-hlsl",
             "1.1 B + .4 E (M + w sum_{i=1..n} d^(i-1) M_i)",
-            _mitchell(gain=0.4),
-            _defaults(0.92, 0.97815, 0.966, 0.58767, 100),
+            gain=0.4,
+            defaults=_defaults(0.92, 0.97815, 0.966, 0.58767, 100),
             background_gain=1.1,
         ),
         Convention(
             "babylon",
             "1.1 B + .4 E (M + w sum_{i=1..n} d^(i-1) M_i)",
-            _mitchell(gain=0.4),
-            _defaults(0.3, 0.96815, 0.926, 0.58767, 100),
+            gain=0.4,
+            defaults=_defaults(0.3, 0.96815, 0.926, 0.58767, 100),
             background_gain=1.1,
             remarks="VolumetricLightScatteringPostProcess",
         ),
         Convention(
             "pmndrs",
             "screen(B, E w sum_{i=1..n} d^(i-1) M_i)",
-            _mitchell(own=0.0),
-            _defaults(0.6, 0.9, 0.96, 0.4, 60),
+            own=0.0,
+            defaults=_defaults(0.6, 0.9, 0.96, 0.4, 60),
             blend="screen",
             remarks="GodRaysEffect; no own-pixel tap: only exposure*weight is determined",
         ),
         Convention(
             "three",
             "B + E (1 - box_3 box_2 box_1 (1 - M)), box_p: 6 taps, step 6^-p",
-            _sousa,
-            {"exposure": 0.69, "samples": 18},
-            parameters=("exposure",),
-            complement=True,
+            box=(6.0**-1, 6.0**-2, 6.0**-3),
+            defaults={"exposure": 0.69, "samples": 18},
             remarks="Sousa, CryEngine 2; no decay, density or weight",
         ),
     )
