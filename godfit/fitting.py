@@ -265,11 +265,18 @@ def _result(
     timing: dict[str, float],
 ) -> FitResult:
     names = list(model.parameters)
-    fitted, values, by_coordinate = _parameters(model, settled.coordinates, held)
-    values, by_coordinate = np.asarray(values), np.asarray(by_coordinate, np.float64)
-    covariance = by_coordinate @ at.covariance(free) @ by_coordinate.T
-    # A parameter that an open coordinate would change is not known, however well the rest is.
     opened = [i for i, _ in open_]
+    z = np.where(np.isnan(held), settled.coordinates, held)
+    z = np.where(np.isin(np.arange(len(names)), opened), z, settled.coordinates)
+    # An open parameter is held only for want of better: what it would move is not known either.
+    loose = np.where(np.isin(np.arange(len(names)), opened), np.nan, held).astype(np.float32)
+    fitted, values, by_coordinate = _parameters(model, z.astype(np.float32), loose)
+    values, by_coordinate = np.asarray(values), np.asarray(by_coordinate, np.float64)
+    # The pixels of an upsampled pass share its texels and say no more than these.
+    low, full = np.prod(picture.mask.shape[:2]), np.prod(picture.size)
+    by_pixel = at.covariance(free) * (full / low)
+    covariance = by_coordinate @ by_pixel @ by_coordinate.T
+    # A parameter that an open coordinate would change is not known, however well the rest is.
     unknown = (
         (np.abs(by_coordinate[:, opened]) > 0).any(1) if opened else np.zeros(len(names), bool)
     )
@@ -277,7 +284,9 @@ def _result(
     stderr = np.sqrt(np.where(unknown, np.nan, np.diag(covariance)))
     covariance[unknown] = covariance[:, unknown] = np.nan
     lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
-    at_bound = (settled.coordinates <= lower) | (settled.coordinates >= upper)
+    # Within its error of a bound, a value is as good as on it.
+    error = np.sqrt(np.diag(by_pixel))
+    at_bound = (settled.coordinates - lower <= error) | (upper - settled.coordinates <= error)
     params = {
         name: Estimate(
             float(values[i]),
@@ -292,7 +301,9 @@ def _result(
     error = np.clip(at.prediction, 0, LEVELS) - target
     rmse = float(np.sqrt(np.mean(error.astype(np.float64) ** 2)))
     left = misfit(at.prediction, seen)
-    trusted = settled.sigma <= search.WITHIN_ROUNDING or left.like_noise
+    # A pass that is upsampled was rounded once before.
+    allowed = search.WITHIN_ROUNDING * (2 if low < full else 1)
+    trusted = settled.sigma <= allowed or left.like_noise
     converged = trusted and settled.quiet
     return FitResult(
         converged=converged,

@@ -30,7 +30,8 @@ def image(source: Source, transfer: str) -> Image:
     if array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,)) or 0 in array.shape:
         raise InputError(f"image: expected shape (h, w) or (h, w, 3), got {array.shape}")
     quantum = {np.dtype(np.uint8): 1 / 255, np.dtype(np.uint16): 1 / 65535}.get(array.dtype)
-    values = array.astype(np.float32) * np.float32(1 if quantum is None else quantum)
+    top = 1.0 if quantum is None else round(1 / quantum)
+    values = (array.astype(np.float64) / top).astype(np.float32)
     if not np.isfinite(values).all():
         raise InputError("image: expected finite numbers, got NaN or infinity")
     return Image(np.asarray(decode(values, transfer)), quantum, transfer, "", "")

@@ -159,10 +159,11 @@ def settle(
     best = Settled(start, sigma, likelihood, False)
     part = 1.0
     for _ in range(rounds):
-        z, promised = _aim(best, tangent, model, seen, free)
-        if promised < 0.5:
-            return best._replace(quiet=True), tangent
-        z = best.coordinates + np.float32(part) * (z - best.coordinates)
+        aim, there = _aim(best, tangent, model, seen, free)
+        if aim.log_likelihood < best.log_likelihood + 0.5:
+            # So short a step that the tangent is as good as another rendering.
+            return aim, there
+        z = best.coordinates + np.float32(part) * (aim.coordinates - best.coordinates)
         there = render(z)
         sigma, likelihood = best_sigma(there.prediction, seen)
         gained = likelihood - best.log_likelihood
@@ -179,8 +180,8 @@ def settle(
 
 def _aim(
     at: Settled, tangent: Tangent, model: AbstractModel, seen: Observation, free: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """Where the tangent's likelihood is largest, and what would be gained there."""
+) -> tuple[Settled, Tangent]:
+    """Where the tangent's likelihood is largest, with the tangent taken there."""
     z, sigma, likelihood = at.coordinates, at.sigma, at.log_likelihood
     lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
     for _ in range(5):
@@ -196,7 +197,9 @@ def _aim(
         before, (sigma, likelihood) = sigma, best_sigma(moved, seen)
         if abs(sigma - before) < 0.05 * before:
             break
-    return z, likelihood - at.log_likelihood
+    if likelihood <= at.log_likelihood:
+        return at._replace(quiet=True), tangent
+    return Settled(z, sigma, likelihood, True), tangent._replace(prediction=moved)
 
 
 def _near_walls(prediction: np.ndarray, lo: np.ndarray, hi: np.ndarray) -> np.ndarray | slice:
