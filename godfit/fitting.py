@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from godfit import inputs, search
-from godfit.image import Image
 from godfit.inference import Evidence, Misfit, evidence, misfit, undetermined
 from godfit.inputs import Source
 from godfit.models import Mitchell, Vector
@@ -99,6 +98,10 @@ def _fit(
     picture = inputs.picture(
         images["target"], images["mask"], images.get("background"), valid, pass_scale
     )
+    notes = tuple(f"{role}: {note}" for role, im in images.items() for note in im.notes)
+    files = {role: {"path": im.path, "sha256": im.sha256} for role, im in images.items()}
+    # What the picture does not need of them would stay in memory to the end.
+    del images, target, mask, background
     model = inputs.template(shader, samples, lights)
     given, held = inputs.parameters(model, fix, start)
     names = list(model.parameters)
@@ -112,10 +115,10 @@ def _fit(
         open_.append((0, [3]))
 
     say("screening")
-    begun = starts(picture, model, given, keep=STARTS, seed=seed)
+    begun = starts(picture.small, model, given, keep=STARTS, seed=seed)
     candidates = [begun[0]]
     if free.any():
-        coordinates = search.climb(picture, model, begun, free, held, seed, say).coordinates
+        coordinates = search.climb(picture.small, model, begun, free, held, seed, say).coordinates
         candidates = _subset(picture, model, coordinates, free, held, seed, say)
     pixels = _pixels(picture, seed)
     seen = picture.observe(pixels)
@@ -151,7 +154,8 @@ def _fit(
         held,
         used,
         open_,
-        images,
+        notes,
+        files,
         {"compile": compile_seconds() - compiled, "solve": time.perf_counter() - began},
     )
 
@@ -261,7 +265,8 @@ def _result(
     held: np.ndarray,
     used: np.ndarray,
     open_: list[tuple[int, list[int]]],
-    images: dict[str, Image],
+    notes: tuple[str, ...],
+    files: dict[str, dict[str, str]],
     timing: dict[str, float],
 ) -> FitResult:
     names = list(model.parameters)
@@ -313,7 +318,7 @@ def _result(
         covariance=covariance,
         correlations=_correlations(names, covariance),
         undetermined=_sentences(open_, names, values),
-        notes=tuple(f"{role}: {note}" for role, im in images.items() for note in im.notes),
+        notes=notes,
         noise_levels=settled.sigma,
         rmse_levels=rmse,
         psnr_db=float(20 * np.log10(LEVELS / max(rmse, 1e-6))),
@@ -324,7 +329,7 @@ def _result(
         log_likelihood=settled.log_likelihood,
         timing_s=timing | {"solve": timing["solve"] - timing["compile"]},
         picture=picture,
-        inputs={role: {"path": im.path, "sha256": im.sha256} for role, im in images.items()},
+        inputs=files,
     )
 
 

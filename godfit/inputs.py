@@ -12,9 +12,8 @@ import numpy as np
 from godfit.errors import InputError
 from godfit.image import Image, decode, read_image
 from godfit.models import Mitchell
-from godfit.observation import Picture
+from godfit.observation import Picture, shrink
 from godfit.parameters import is_light
-from godfit.screen import shrink
 from godfit.taps import convention
 
 Source = str | os.PathLike[str] | np.ndarray | Image

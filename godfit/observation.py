@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -14,6 +16,10 @@ from godfit.image import Image, encode
 from godfit.models import AbstractModel
 
 LEVELS = 255.0
+# Larger pictures are searched at this size: coordinates do not depend on it.
+SEARCH_SIZE = 2048
+# Pixels that informative ones are chosen among.
+CANDIDATES = 1 << 21
 
 
 class Observation(eqx.Module):
@@ -37,7 +43,7 @@ class Observation(eqx.Module):
         return LEVELS * encode(image, self.transfer).reshape(-1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Picture:
     """Target, mask and background, reduced to the channels that differ.
 
@@ -58,20 +64,42 @@ class Picture:
         target: Image, mask: np.ndarray, background: np.ndarray | None, valid: np.ndarray | None
     ) -> Picture:
         """Channels that agree in target, mask and background are kept once."""
-        levels = np.atleast_3d(target.encoded) * np.float32(LEVELS)
+        encoded, grey_target = _grey(target.encoded)
         mask, grey_mask = _grey(mask)
-        grey_target = _grey(levels)[1] and (background is None or _grey(background)[1])
-        if grey_mask and grey_target:
-            levels = levels[..., :1]
-            background = None if background is None else np.atleast_3d(background)[..., :1]
-        elif levels.shape[-1] == 1:
-            levels = np.repeat(levels, 3, axis=-1)
+        if background is not None:
+            background, grey_background = _grey(background)
+            grey_target &= grey_background
+        channels = 1 if grey_mask and grey_target else 3
+        size = target.values.shape[:2]
+        levels = np.broadcast_to(np.atleast_3d(encoded), (*size, channels)) * np.float32(LEVELS)
         if background is not None:
             background = np.broadcast_to(np.atleast_3d(background), levels.shape)
         if valid is None:
             valid = np.ones(levels.shape[:2], bool)
         half = 0.0 if target.quantum is None else target.quantum * LEVELS / 2
         return Picture(levels, half, valid, mask, background, target.transfer)
+
+    @functools.cached_property
+    def small(self) -> Picture:
+        """The picture averaged down to at most SEARCH_SIZE pixels a side, itself if it is."""
+        factor = -(-max(self.size) // SEARCH_SIZE)
+        if factor == 1:
+            return self
+
+        def smaller(image: np.ndarray) -> np.ndarray:
+            h, w = (max(1, n // factor) for n in image.shape[:2])
+            return shrink(image, (h, w))
+
+        # A cell that is clipped in part has a mean that says nothing.
+        clipped = smaller(self.clipped().astype(np.float32))
+        valid = (smaller(self.valid.astype(np.float32)) == 1) & ((clipped == 0) | (clipped == 1))
+        return dataclasses.replace(
+            self,
+            levels=smaller(self.levels),
+            valid=valid if valid.any() else np.ones_like(valid),
+            mask=smaller(self.mask),
+            background=None if self.background is None else smaller(self.background),
+        )
 
     @property
     def size(self) -> tuple[int, int]:
@@ -132,14 +160,21 @@ class Picture:
         if len(candidates) <= count:
             return candidates
         rng = np.random.default_rng(seed)
+        if len(candidates) > CANDIDATES:
+            candidates = np.unique(candidates[rng.integers(0, len(candidates), CANDIDATES)])
         even = rng.permutation(candidates)[: count // 2]
-        grey = np.minimum(self.levels.mean(-1), LEVELS - 1)
+        small = self.small
+        if min(small.size) < 2:
+            return np.sort(rng.permutation(candidates)[:count])
+        bright = np.minimum(small.levels.mean(-1), LEVELS - 1)
         # Differences over a few pixels see slopes that single levels hide.
-        scale = max(1.0, max(self.size) / 256)
-        slope = np.hypot(*np.gradient(ndimage.gaussian_filter(grey, scale)))
-        chance = slope.reshape(-1)[candidates].astype(np.float64)
+        scale = max(1.0, max(small.size) / 256)
+        slope = np.hypot(*np.gradient(ndimage.gaussian_filter(bright, scale)))
+        slope[small.clipped()] = 0
+        (h, w), (rows, columns) = self.size, small.size
+        cell = candidates // w * rows // h * columns + candidates % w * columns // w
+        chance = slope.reshape(-1)[cell].astype(np.float64)
         chance[np.isin(candidates, even)] = 0
-        chance[self.clipped().reshape(-1)[candidates]] = 0
         if np.count_nonzero(chance) < count - len(even):
             return np.sort(rng.permutation(candidates)[:count])
         odd = rng.choice(candidates, count - len(even), replace=False, p=chance / chance.sum())
@@ -159,6 +194,17 @@ def _image(model, mask, background, size):
     return model(mask, background, size=size)
 
 
+def shrink(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """(h, w, ...) averaged over cells onto at most ``size`` rows and columns."""
+    out = image
+    for axis in (0, 1):
+        length = image.shape[axis]
+        edges = np.linspace(0, length, min(size[axis], length) + 1).astype(int)
+        out = np.add.reduceat(out, edges[:-1], axis=axis, dtype=np.float64)
+        out /= np.diff(edges).reshape((-1,) + (1,) * (out.ndim - 1 - axis))
+    return out.astype(np.float32)
+
+
 def grey(image: np.ndarray) -> np.ndarray:
     """(h, w) mean of the channels."""
     return image if image.ndim == 2 else image.mean(-1)
@@ -168,8 +214,9 @@ def _grey(image: np.ndarray) -> tuple[np.ndarray, bool]:
     """The image without channels where they agree, and whether they do."""
     if image.ndim == 2:
         return image, True
-    if (image == image[..., :1]).all():
-        return image[..., 0], True
+    if all(np.array_equal(image[..., 0], image[..., c]) for c in (1, 2)):
+        # A copy, so that the channels that are not needed do not stay in memory.
+        return image[..., 0].copy(), True
     return image, False
 
 

@@ -20,7 +20,7 @@ from scipy import ndimage
 
 from godfit.image import decode
 from godfit.models import Mitchell
-from godfit.observation import LEVELS, Picture, grey
+from godfit.observation import LEVELS, Picture, grey, shrink
 from godfit.radial.geometry import to_pixels
 from godfit.radial.reference import bilinear
 
@@ -46,18 +46,6 @@ def light_grid(target: np.ndarray, seed: int) -> np.ndarray:
     drawn = rng.choice(h * w, min(64, h * w), replace=False, p=bright / bright.sum())
     spots = np.stack([(drawn % w + 0.5) / w, 1 - (drawn // w + 0.5) / h], -1)
     return np.concatenate([lattice, rings, spots])
-
-
-def shrink(image: np.ndarray, size: tuple[int, int] = (SIZE, SIZE)) -> np.ndarray:
-    """(h, w, ...) averaged over cells onto at most ``size`` rows and columns."""
-    out = image.astype(np.float64)
-    for axis in (0, 1):
-        length = image.shape[axis]
-        edges = np.linspace(0, length, min(size[axis], length) + 1).astype(int)
-        out = np.moveaxis(out, axis, -1)
-        out = np.add.reduceat(out, edges[:-1], axis=-1) / np.diff(edges)
-        out = np.moveaxis(out, -1, axis)
-    return out.astype(np.float32)
 
 
 @jax.jit
@@ -127,7 +115,7 @@ def starts(
     """
     shader, lights = model.convention, model.light.shape[0]
     target, weight = _light_pass(picture, model)
-    mask = shrink(grey(picture.mask))
+    mask = shrink(grey(picture.mask), (SIZE, SIZE))
     h, w = target.shape
     chosen = np.random.default_rng(seed).permutation(h * w)[:POINTS]
     at = np.stack(
@@ -194,8 +182,8 @@ def _light_pass(picture: Picture, model: Mitchell) -> tuple[np.ndarray, np.ndarr
             light = (light - back) / np.maximum(1 - back, 0.05)
         else:
             light = light - np.float32(shader.background_gain) * back
-    trust = shrink((picture.valid & ~picture.clipped()).astype(np.float32))
-    return shrink(light.mean(-1)), (trust > 0.99).astype(np.float32)
+    trust = shrink((picture.valid & ~picture.clipped()).astype(np.float32), (SIZE, SIZE))
+    return shrink(light.mean(-1), (SIZE, SIZE)), (trust > 0.99).astype(np.float32)
 
 
 def _places(

@@ -4,6 +4,7 @@ broadcasting between ranks, and with every annotation in godfit checked (jaxtypi
 import os
 
 os.environ["MPLBACKEND"] = "Agg"
+os.environ["GODFIT_CACHE"] = "off"
 
 import jax
 import pytest
