@@ -34,8 +34,10 @@ EXPLAINED = 0.05
 WITHIN_ROUNDING = 0.125
 # Levels, from well under the least that float32 leaves to the coarsest that means anything.
 WALLS = 1 << 15
+# Gain in log-likelihood for which pixels are not rendered again.
+SHORT = 2.0
 SIGMA_VALUES = 1 << 14
-SIGMAS = np.geomspace(0.005, 81.92, 15).astype(np.float32)
+SIGMAS = (0.005 * 3.0 ** np.arange(10)).astype(np.float32)
 
 
 @jax.jit
@@ -68,7 +70,7 @@ def best_sigma(prediction: np.ndarray, seen: Observation) -> tuple[float, float]
     for _ in range(4):
         best = sigmas[int(np.nanargmax(_log_likelihoods(*values, sigmas)))]
         ratio **= 0.25
-        sigmas = best * ratio ** np.linspace(-7, 7, len(SIGMAS))
+        sigmas = best * ratio ** np.linspace(-4.5, 4.5, len(SIGMAS))
         sigmas = np.clip(sigmas, SIGMAS[0], SIGMAS[-1]).astype(np.float32)
     return float(best), log_likelihood_at(prediction, seen, float(best))
 
@@ -143,7 +145,7 @@ def settle(
     *,
     rounds: int = 10,
 ) -> tuple[Settled, Tangent]:
-    """Coordinates and noise that suit each other, until the log-likelihood gains less than 1/2.
+    """Coordinates and noise that suit each other, until the log-likelihood stands still.
 
     The pixels are rendered once for each round. In between, the likelihood, which is far from
     quadratic when sigma is small, is solved on the tangent, with sigma and coordinates in turn.
@@ -160,8 +162,9 @@ def settle(
     part = 1.0
     for _ in range(rounds):
         aim, there = _aim(best, tangent, model, seen, free)
-        if aim.log_likelihood < best.log_likelihood + 0.5:
-            # So short a step that the tangent is as good as another rendering.
+        if aim.log_likelihood < best.log_likelihood + SHORT:
+            # So short a step, two standard errors at most, that the tangent is as good as another
+            # rendering.
             return aim, there
         z = best.coordinates + np.float32(part) * (aim.coordinates - best.coordinates)
         there = render(z)
@@ -169,10 +172,13 @@ def settle(
         gained = likelihood - best.log_likelihood
         if gained > 0:
             best, tangent = Settled(z, sigma, likelihood, False), there
-            part = min(1.0, 2 * part)
+            part = 1.0
+        elif part < 1:
+            # On a kink, where neither the whole step nor a part of it gains, there is no further.
+            return best._replace(quiet=True), tangent
         else:
             # Over a kink of the bilinear mask the tangent promises too much.
-            part /= 4
+            part = 0.25
         if abs(gained) < 0.5:
             return best._replace(quiet=True), tangent
     return best, tangent
