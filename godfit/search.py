@@ -34,8 +34,9 @@ EXPLAINED = 0.05
 WITHIN_ROUNDING = 0.125
 # Levels, from well under the least that float32 leaves to the coarsest that means anything.
 WALLS = 1 << 15
-# Gain in log-likelihood for which pixels are not rendered again.
-SHORT = 2.0
+# Gain in log-likelihood for which pixels are not rendered again: kinks of the mask make it jump by
+# as much between one float32 and the next.
+SHORT = 4.0
 SIGMA_VALUES = 1 << 14
 SIGMAS = (0.005 * 3.0 ** np.arange(10)).astype(np.float32)
 
@@ -163,8 +164,7 @@ def settle(
     for _ in range(rounds):
         aim, there = _aim(best, tangent, model, seen, free)
         if aim.log_likelihood < best.log_likelihood + SHORT:
-            # So short a step, two standard errors at most, that the tangent is as good as another
-            # rendering.
+            # So short a step that the tangent is as good as another rendering.
             return aim, there
         z = best.coordinates + np.float32(part) * (aim.coordinates - best.coordinates)
         there = render(z)
