@@ -41,7 +41,7 @@ class Canvas:
         cover = cover.reshape(cover.shape + (1,) * (self.values.ndim - 2))
         self.values += cover * (value - self.values)
 
-    def disc(self, x: float, y: float, radius: float = 0.0):
+    def disc(self, x: float, y: float, radius: float | np.ndarray = 0.0):
         return np.hypot(self.x - x, self.y - y) - radius
 
     def glow(self, x: float, y: float, width: float):
