@@ -29,12 +29,12 @@ GOLDEN = (5**0.5 - 1) / 2  # its multiples, modulo 1, look scattered without bei
 class Canvas:
     """A picture to paint on. x and y are in picture heights, y up, (0.5, 0.5) in the middle."""
 
-    def __init__(self, height: int, width: int, value=0.0):
+    def __init__(self, height: int, width: int, value: float | list[float] = 0.0):
         u, v = (np.arange(width) + 0.5) / width, 1 - (np.arange(height) + 0.5) / height
         self.x, self.y = np.meshgrid((u - 0.5) * width / height + 0.5, v)
         self.values = np.broadcast_to(value, (height, width, *np.shape(value))).astype(float)
 
-    def paint(self, distance, value=0.0) -> None:
+    def paint(self, distance, value: float | list[float] | np.ndarray = 0.0) -> None:
         """Paint where ``distance`` to a shape's edge (in heights) is negative; the edge is one
         pixel wide."""
         cover = np.clip(0.5 - distance * len(self.x), 0, 1)

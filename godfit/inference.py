@@ -20,13 +20,15 @@ MAX_CORRELATION = 0.3
 class Evidence(NamedTuple):
     """The likelihood about the fitted point.
 
-    ``curvature`` (p, p) is the sum of -d2 log-likelihood by coordinate; ``blunt`` the same with
-    the rounding counted as noise, which is what least squares would know; ``gradient`` (p,) the sum
-    of the slopes; ``prediction`` (m,) is in levels, ``score`` (m,) the slope of each value's
-    log-likelihood in units of sigma.
+    By coordinate: ``curvature`` (p, p) is the sum of -d2 log-likelihood, ``scores`` (p, p) that of
+    the outer products of its slopes, ``gradient`` (p,) that of the slopes; ``blunt`` is the
+    curvature with the rounding counted as noise, which is what least squares would know.
+    ``prediction`` (m,) is in levels, ``score`` (m,) the slope of each value's log-likelihood in
+    units of sigma.
     """
 
     curvature: np.ndarray
+    scores: np.ndarray
     blunt: np.ndarray
     gradient: np.ndarray
     prediction: np.ndarray
@@ -35,19 +37,31 @@ class Evidence(NamedTuple):
     def covariance(self, free: np.ndarray) -> np.ndarray:
         """(p, p) covariance of the coordinates, zero for those that are not free.
 
-        The inverse of the curvature. Where rounding is all the noise there is, the likelihood may
-        be flat at its very top, all values inside their intervals; in such directions the
-        information is taken to be what least squares has, and is never less.
+        The inverse of the information: curvature or scores, in every direction the lesser. With
+        noise the two agree. Where rounding is all the noise there is, the problem is not
+        regular: the curvature alone covers too seldom, the scores cover often enough. There the
+        likelihood may also be flat at its very top, all values inside their intervals; the
+        information is never taken to be less than what least squares has.
         """
         covariance = np.zeros_like(self.curvature)
-        sharp, blunt = (m[np.ix_(free, free)] for m in (self.curvature, self.blunt))
+        curvature, scores, blunt = (
+            m[np.ix_(free, free)] for m in (self.curvature, self.scores, self.blunt)
+        )
         # Scaled to a unit diagonal first: the coordinates' units differ by orders of magnitude.
         size = np.sqrt(np.maximum(np.diag(blunt), 1e-30))
         values, vectors = np.linalg.eigh(blunt / np.outer(size, size))
         known = values > 1e-9 * max(values.max(initial=0), 1e-30)
         root = vectors[:, known] / np.sqrt(values[known])
-        gain, turn = np.linalg.eigh(root.T @ (sharp / np.outer(size, size)) @ root)
-        root = root @ turn / np.sqrt(np.maximum(gain, 1.0))
+
+        def against_blunt(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            gain, turn = np.linalg.eigh(root.T @ (information / np.outer(size, size)) @ root)
+            return np.maximum(gain, 1.0), turn
+
+        gain, turn = against_blunt(curvature)
+        other, other_turn = against_blunt(scores)
+        whiten = turn / np.sqrt(gain)
+        share, last = np.linalg.eigh(whiten.T @ (other_turn * other) @ other_turn.T @ whiten)
+        root = root @ whiten @ last / np.sqrt(np.minimum(share, 1.0))
         covariance[np.ix_(free, free)] = root @ root.T / np.outer(size, size)
         return covariance
 
@@ -64,19 +78,21 @@ def _evidence(prediction, jacobian, lo, hi, sigma):
         return (jacobian * (pixel.curvature / sigma**2)[:, None]).T @ jacobian
 
     sharp = pixels(sigma)
+    slopes = jacobian * (sharp.slope / sigma)[:, None]
     blunt = curvature(pixels(blunt_sigma), blunt_sigma)
-    return curvature(sharp, sigma), blunt, (sharp.slope / sigma) @ jacobian, sharp.slope
+    return curvature(sharp, sigma), slopes.T @ slopes, blunt, slopes.sum(0), sharp.slope
 
 
 def evidence(settled: Settled, tangent: Tangent, seen: Observation) -> Evidence:
     """The evidence at a settled point."""
-    curvature, blunt, gradient, score = _evidence(
+    curvature, scores, blunt, gradient, score = _evidence(
         tangent.prediction, tangent.jacobian, seen.lo, seen.hi, jnp.float32(settled.sigma)
     )
     # Summed in scaled coordinates, where float32 holds all entries alike.
     size = np.outer(tangent.scale, tangent.scale).astype(np.float64)
     return Evidence(
         np.asarray(curvature, np.float64) / size,
+        np.asarray(scores, np.float64) / size,
         np.asarray(blunt, np.float64) / size,
         np.asarray(gradient, np.float64) / tangent.scale,
         np.asarray(tangent.prediction),
