@@ -134,6 +134,8 @@ SHADER_HELP = "Shader convention; see `godfit shaders`. [default: mitchell]"
 @cli.command()
 @click.argument("target")
 @click.option("--mask", help="Occlusion mask that the scattering pass reads.")
+@click.option("--scene", help="Scene file to draw the mask from.")
+@click.option("--free", multiple=True, metavar="NAME", help="Fit this of the scene as well.")
 @click.option("--background", help="Ordinary pass that the light was laid on.")
 @click.option("--shader", help=SHADER_HELP)
 @click.option("--samples", type=int, help="Samples a ray. [default: the shader's own]")
@@ -152,6 +154,7 @@ SHADER_HELP = "Shader convention; see `godfit shaders`. [default: mitchell]"
 @click.option("-v", "--verbose", is_flag=True, help="A line for every stage.")
 def fit(
     target: str,
+    free: tuple[str, ...],
     fix: tuple[str, ...],
     start: tuple[str, ...],
     ignore: tuple[str, ...],
@@ -164,8 +167,11 @@ def fit(
 ) -> int:
     """Fit exposure, decay, density, weight and the light's position to TARGET.
 
-    A TARGET x.png with an x.toml beside it takes its mask, shader and samples from there; options
-    override it. The result goes to x.godfit/: fit.json, fit.png, render.png.
+    A TARGET x.png with an x.toml beside it takes its mask or scene, shader and samples from there;
+    options override it. The result goes to x.godfit/: fit.json, fit.png, render.png.
+
+    With --scene the mask is drawn from meshes. --free light.position (or light.radius,
+    camera.position, object[0].position, object[0].rotation, ...) fits that as well.
     """
     from godfit.cache import keep_compiled
     from godfit.image import read_image
@@ -177,13 +183,19 @@ def fit(
     folder = folder_for(target, output)
     # The target first: a missing one should not be reported as a missing mask.
     image = read_image(target, transfer=options.get("transfer", "none"))
-    if "mask" not in options:
+    for one, other in (("mask", "scene"), ("scene", "mask")):
+        if given[one] is not None and given[other] is None:
+            # What is said here replaces what stands beside the target.
+            options.pop(other, None)
+    if "mask" in options and "scene" in options:
+        raise click.UsageError("expected --mask or --scene, got both; a scene draws its own mask")
+    if "mask" not in options and "scene" not in options:
         raise click.UsageError(
-            f"expected --mask IMAGE, or {Path(target).with_suffix('.toml').name} beside the target "
-            "naming one; got neither"
+            "expected --mask IMAGE or --scene SCENE.toml, or "
+            f"{Path(target).with_suffix('.toml').name} beside the target naming one; got neither"
         )
-    if "shader" not in options and not quiet:
-        warn("no shader given: 'mitchell' assumed; see `godfit shaders`")
+    if free and "scene" not in options:
+        raise click.UsageError(f"--free {free[0]}: expected --scene SCENE.toml with it, got a mask")
     valid = look_away(ignore, image.values.shape[:2])
     with Progress(quiet, verbose) as progress:
         progress("loading JAX")
@@ -194,12 +206,22 @@ def fit(
         from godfit.taps import convention
 
         imported = time.perf_counter() - STARTED
-        shader = convention(options.get("shader", "mitchell"))
-        if "samples" not in options and "samples" not in shader.defaults and not quiet:
+        scene = None
+        if "scene" in options:
+            from godfit.scene import read_scene
+
+            progress("loading meshes")
+            scene = options["scene"] = read_scene(options["scene"])
+        said = options if scene is None else {**scene.settings, **options}
+        if "shader" not in said and not quiet:
+            warn("no shader given: 'mitchell' assumed; see `godfit shaders`")
+        shader = convention(said.get("shader", "mitchell"))
+        if "samples" not in said and "samples" not in shader.defaults and not quiet:
             warn(f"{shader.name} publishes no default: {shader.samples} samples assumed")
         result = run(
-            image, fix=fixed, start=started, valid=valid, seed=seed, progress=progress, **options
-        )
+            image, free=free, fix=fixed, start=started, valid=valid, seed=seed,
+            progress=progress, **options,
+        )  # fmt: skip
         result.timing_s["import"] = imported
         result.timing_s["total"] = time.perf_counter() - STARTED
         progress("drawing")
@@ -217,7 +239,32 @@ def fit(
 
 
 @cli.command()
-@click.argument("mask")
+@click.argument("scene")
+@click.option("-o", "--output", required=True, help="Image to write: .png or .npy (linear floats).")
+@click.option(
+    "--hard", is_flag=True, help="Pixel centres only, as WebGL draws without multisampling."
+)
+@click.option("-q", "--quiet", is_flag=True, help="No warnings.")
+def mask(scene: str, output: str, hard: bool, quiet: bool) -> int:
+    """Draw the occlusion mask of SCENE.toml, anti-aliased."""
+    from godfit.image import write_image
+    from godfit.inputs import drawn
+    from godfit.scene import read_scene
+
+    with Progress(quiet, False) as progress:
+        progress("loading meshes")
+        stage = read_scene(scene)
+        progress("drawing")
+        values = drawn(stage, not hard)
+    write_image(output, values)
+    if not quiet:
+        for note in stage.notes:
+            warn(note)
+    return 0
+
+
+@cli.command()
+@click.argument("mask", metavar="MASK|SCENE.toml")
 @click.option("-o", "--output", required=True, help="Image to write: .png or .npy (linear floats).")
 @click.option("--params", metavar="FIT.JSON", help="Take shader and parameters from a fit.")
 @click.option("--shader", help=SHADER_HELP)
@@ -248,17 +295,30 @@ def render(
     bits: str,
     **values: float | None,
 ) -> int:
-    """Render the light of MASK with the given parameters, or the shader's defaults."""
+    """Render the light of MASK, or of the scene SCENE.toml, with the given parameters or the
+    shader's defaults."""
     from godfit.image import read_image, write_image
-    from godfit.inputs import model_from, shrink_mask
+    from godfit.inputs import drawn, model_from, place_of, shrink_mask
 
     lights = [pair(text) for text in light]
-    settings = read_params(params) if params else {}
+    settings: dict[str, Any] = {}
+    stage = None
+    if mask.endswith(".toml"):
+        from godfit.scene import read_scene
+
+        stage = read_scene(mask)
+        settings = {**stage.settings, **place_of(stage)}
+        pass_scale = settings.pop("pass_scale", 1.0) if pass_scale == 1 else pass_scale
+        transfer = settings.pop("transfer", "none") if transfer == "none" else transfer
+    settings |= read_params(params) if params else {}
     settings |= {k: v for k, v in {"shader": shader, "samples": samples}.items() if v is not None}
     known = {k: v for k, v in values.items() if v is not None}
     shape = whole(size) if size else None
     back = None if background is None else read_image(background, transfer=transfer).values
-    occlusion = read_image(mask).values
+    if stage is None:
+        occlusion = read_image(mask).values
+    else:
+        occlusion = drawn(stage, stage.antialias is not False)
     model = model_from(settings, known, lights)
     low = shrink_mask(occlusion, pass_scale)
     shape = shape or (occlusion.shape[:2] if back is None else back.shape[:2])

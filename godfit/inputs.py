@@ -7,13 +7,17 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import equinox as eqx
 import numpy as np
 
 from godfit.errors import InputError
 from godfit.image import Image, decode, read_image
-from godfit.models import Mitchell
+from godfit.models import AbstractModel, Mitchell
 from godfit.observation import Picture, shrink
 from godfit.parameters import is_light
+from godfit.raster import on_screen, rasterise
+from godfit.scene import Scene
+from godfit.staged import Staged, resized
 from godfit.taps import convention
 
 Source = str | os.PathLike[str] | np.ndarray | Image
@@ -120,7 +124,7 @@ def template(shader: str, samples: int | None, lights: int) -> Mitchell:
 
 
 def parameters(
-    model: Mitchell, fix: Mapping[str, float | None], start: Mapping[str, float]
+    model: AbstractModel, fix: Mapping[str, float | None], start: Mapping[str, float]
 ) -> tuple[dict[str, float], np.ndarray]:
     """Values that the search takes as they are, and (p,) held parameters, NaN where free."""
     table = model.parameters
@@ -134,7 +138,7 @@ def parameters(
                     f"did you mean '{near}'?"
                 )
             if value is None:
-                value = given.get(name, model.convention.defaults.get(name))
+                value = given.get(name, model.defaults.get(name))
             if value is None:
                 raise InputError(
                     f"fix: expected {name}=VALUE, got no value; '{model.shader}' has no default of "
@@ -146,10 +150,53 @@ def parameters(
     return given, held
 
 
-def _check(model: Mitchell, values: Mapping[str, float], option: str) -> None:
+def _check(model: AbstractModel, values: Mapping[str, float], option: str) -> None:
     for name, value in values.items():
         row = model.parameters[name]
         if not (row.lower <= value <= row.upper and np.isfinite(value)):
             raise InputError(
                 f"{option}: expected {name} from {row.lower:g} to {row.upper:g}, got {value:g}"
             )
+
+
+def scene_for(scene: Scene, target: Image, pass_scale: float) -> Scene:
+    """The scene at the size of the light pass: its own, or the target's where that is less, times
+    ``pass_scale``."""
+    if not 0 < pass_scale <= 1:
+        raise InputError(f"pass scale: expected a number above 0, at most 1, got {pass_scale:g}")
+    (h, w), (height, width) = scene.size, target.values.shape[:2]
+    if abs(w * height - h * width) > max(width, height):
+        raise InputError(
+            f"scene: expected the target's aspect {width}:{height}, got [image] {w}x{h}; "
+            "set width and height to the target's"
+        )
+    if h > height:
+        h, w = height, width
+    return resized(scene, (max(1, round(h * pass_scale)), max(1, round(w * pass_scale))))
+
+
+def place_of(scene: Scene) -> dict[str, float]:
+    """Where the scene's light is on the screen."""
+    u, v = np.asarray(on_screen(scene), float)
+    return {"light_x": float(u), "light_y": float(v)}
+
+
+def staged(model: Mitchell, scene: Scene, names: Sequence[str]) -> Staged:
+    """The model that draws its own mask, ``names`` of the scene free."""
+    if model.light.shape[0] != 1:
+        raise InputError("lights: expected 1 with a scene, which has one; fit with a mask instead")
+    if len(set(names)) < len(names):
+        raise InputError(f"free: expected each name once, got {', '.join(names)}")
+    for name in names:
+        scene.value(name)
+    return Staged(model, scene, names)
+
+
+def drawn(scene: Scene, antialias: bool) -> np.ndarray:
+    """The scene's mask, (h, w) or (h, w, 3) float32."""
+    return np.asarray(_rasterised(scene, antialias), np.float32)
+
+
+@eqx.filter_jit
+def _rasterised(scene: Scene, antialias: bool):
+    return rasterise(scene, antialias=antialias)

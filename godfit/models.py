@@ -31,11 +31,23 @@ class AbstractModel(eqx.Module):
     """What fit and report need to know of a model."""
 
     name: eqx.AbstractClassVar[str]
+    shader: eqx.AbstractVar[str]
+    samples: eqx.AbstractVar[int]
+    light: eqx.AbstractVar[Float[Array, "lights 2"]]
+
+    @property
+    def convention(self) -> Convention:
+        return convention(self.shader)
 
     @property
     @abstractmethod
     def parameters(self) -> dict[str, Parameter]:
         """The table of this model's parameters, by name."""
+
+    @property
+    @abstractmethod
+    def defaults(self) -> dict[str, float]:
+        """What parameters are where nothing is said of them."""
 
     @abstractmethod
     def values(self) -> dict[str, Float[Array, ""]]:
@@ -104,12 +116,12 @@ class Mitchell(AbstractModel):
         self.samples = convention(shader).samples if samples is None else samples
 
     @property
-    def convention(self) -> Convention:
-        return convention(self.shader)
-
-    @property
     def parameters(self) -> dict[str, Parameter]:
         return table(self.light.shape[0])
+
+    @property
+    def defaults(self) -> dict[str, float]:
+        return dict(self.convention.defaults)
 
     def values(self) -> dict[str, Float[Array, ""]]:
         numbers = (self.exposure, self.decay, self.density, self.weight, *self.light.reshape(-1))

@@ -82,7 +82,10 @@ class Picture:
     @functools.cached_property
     def small(self) -> Picture:
         """The picture averaged down to at most SEARCH_SIZE pixels a side, itself if it is."""
-        factor = -(-max(self.size) // SEARCH_SIZE)
+        return self.shrunk(-(-max(self.size) // SEARCH_SIZE))
+
+    def shrunk(self, factor: int) -> Picture:
+        """The picture averaged over cells of ``factor`` x ``factor`` pixels."""
         if factor == 1:
             return self
 

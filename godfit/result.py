@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from godfit.image import decode
-from godfit.models import Mitchell
+from godfit.models import AbstractModel
 from godfit.observation import LEVELS, Picture
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class FitResult:
 
     converged: bool
     message: str
-    model: Mitchell
+    model: AbstractModel
     params: dict[str, Estimate]
     covariance: np.ndarray
     correlations: dict[str, float]

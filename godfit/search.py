@@ -1,9 +1,7 @@
 """From starting points to the neighbourhood of the best fit, on a few thousand pixels.
 
 Coarse to fine: target and mask are blurred by the same amount, the blur is lowered in steps, and
-starts that fall behind are dropped. Density needs more: it is seen where the rays end, and each of
-the shader's n taps leaves a band there, so that the cost has a dip for every band. ``reseed`` walks
-along the valley, the other coordinates following, and tries the other dips.
+starts that fall behind are dropped. ``settle`` finds coordinates and noise that suit each other.
 """
 
 from __future__ import annotations
@@ -11,23 +9,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from godfit.likelihood import deviance_residuals, log_likelihood
-from godfit.models import AbstractModel, Values, Vector
-from godfit.observation import Observation, Picture, blurred
+from godfit.likelihood import log_likelihood
+from godfit.models import AbstractModel, Values
+from godfit.observation import Observation, Picture
 from godfit.solver import Point, linearise, scales, solve, solve_tangent
 
 PIXELS = 2048
 # Blur (as a share of the longer side), starts kept, sigma in levels.
 LADDER = ((1 / 64, 3, 4.0), (1 / 128, 2, 2.0), (1 / 256, 1, 1.0), (1 / 512, 1, 1.0))
-CORRECTIONS = 3
-# A dip of density is about 1/samples wide.
-FAR_VALUES = 400
 # Noise below this many levels means that even the rounding of every pixel is explained.
 EXPLAINED = 0.05
 # Noise below this is lost in the rounding: masks that were rounded themselves leave as much.
@@ -215,121 +209,3 @@ def _near_walls(prediction: np.ndarray, lo: np.ndarray, hi: np.ndarray) -> np.nd
         return slice(None)
     slack = np.minimum(prediction - lo, hi - prediction)
     return np.sort(np.argpartition(slack, WALLS)[:WALLS])
-
-
-def correct(
-    start: np.ndarray,
-    model: AbstractModel,
-    picture: Picture,
-    free: np.ndarray,
-    held: np.ndarray,
-    seed: int,
-) -> np.ndarray:
-    """Down the ladder again with its bias taken out.
-
-    A picture from a blurred mask is not the blurred picture: far along the ray the mask should be
-    blurred less, which draws density away from 1. The difference between the two at the present
-    point is added to the blurred target, as coarse levels are corrected in multigrid (the full
-    approximation scheme: Brandt, Math. Comp. 31 (1977), 333).
-    """
-    pixels = picture.informative(PIXELS, seed)
-    lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
-    z = start
-    for share, _, sigma in LADDER:
-        blur = share * max(picture.size)
-        seen = picture.observe(pixels, blur)
-        for _ in range(CORRECTIONS):
-            at = model.moved(jnp.asarray(z), jnp.asarray(held))
-            sharp = picture.rendered(at)
-            coarse = seen.predict(at)
-            bias = coarse - blurred(sharp, blur).reshape(-1, picture.channels)[pixels].reshape(-1)
-            shifted = eqx.tree_at(lambda s: (s.lo, s.hi), seen, (seen.lo + bias, seen.hi + bias))
-            z = solve(z, free, held, model, shifted, sigma, bounded=False).coordinates
-            z = np.clip(z, lower, upper)
-    return z
-
-
-@eqx.filter_jit
-def _valley(
-    coordinates: Vector,
-    free: Vector,
-    held: Vector,
-    along: int,
-    model: AbstractModel,
-    seen: Observation,
-) -> Float[Array, " p"]:
-    """How the other coordinates follow coordinate ``along`` on the valley's floor."""
-    jacobian = jax.jacfwd(lambda z: seen.predict(model.moved(z, held)))(coordinates)
-    inside = jnp.isfinite(seen.lo) & jnp.isfinite(seen.hi)
-    jacobian = jnp.where(inside[:, None], jacobian, 0.0) * free[None]
-    size = jnp.sqrt((jacobian**2).sum(0))
-    size = jnp.where(size > 0, size, 1.0)
-    others = (jacobian / size[None]).at[:, along].set(0.0)
-    follow = -jnp.linalg.lstsq(others, jacobian[:, along], rcond=1e-4)[0] / size
-    return follow.at[along].set(1.0)
-
-
-@eqx.filter_jit
-def _costs(
-    points: Float[Array, "n p"],
-    held: Vector,
-    model: AbstractModel,
-    seen: Observation,
-    sigma: Float[Array, ""],
-) -> Float[Array, " n"]:
-    def cost(z):
-        prediction = seen.predict(model.moved(z, held))
-        return 0.5 * (deviance_residuals(prediction, seen.lo, seen.hi, sigma) ** 2).sum()
-
-    return jax.lax.map(cost, points)
-
-
-def reseed(
-    start: Settled,
-    along: int,
-    model: AbstractModel,
-    picture: Picture,
-    free: np.ndarray,
-    held: np.ndarray,
-    seed: int,
-    *,
-    tries: int = 6,
-) -> list[Settled]:
-    """Walk along the valley of coordinate ``along`` and settle anew in its deepest dips; the best
-    first, ``start`` among them."""
-    pixels = picture.informative(PIXELS, seed)
-    seen = picture.observe(pixels)
-    smooth = picture.observe(pixels, LADDER[1][0] * max(picture.size))
-    lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
-    at = start.coordinates
-    here = at[along]
-    # Two lines through the start: one where all other coordinates follow along the valley's floor,
-    # one where only those that the image is linear in do, for a start that is right but for this.
-    linear = free & model.linear()
-    lines = []
-    for moving in (free, linear):
-        switch = moving.astype(np.float32)
-        switch[along] = 1
-        follow = np.asarray(_valley(jnp.asarray(at), switch, held, along, model, smooth))
-        near = here * (1 + np.linspace(-0.06, 0.06, 121))
-        far = np.linspace(max(lower[along], 0.05), upper[along], FAR_VALUES)
-        values = np.sort(np.concatenate([near, far]))
-        values = values[(values >= lower[along]) & (values <= upper[along])]
-        lines.append(np.clip(at + np.outer(values - here, follow), lower, upper))
-    # As sharp as the start is good: a blunter likelihood cannot tell the dips apart, a sharper one
-    # sees nothing of those whose bottom lies a little beside the line.
-    sigma = float(np.clip(start.sigma, 0.02, 0.3))
-    begun: list[np.ndarray] = []
-    for line in lines:
-        costs = np.asarray(
-            _costs(jnp.asarray(line, jnp.float32), held, model, seen, jnp.float32(sigma))
-        )
-        costs = np.where(np.isfinite(costs), costs, np.inf)
-        around = np.pad(costs, 1, constant_values=np.inf)
-        dips = np.flatnonzero((costs <= around[:-2]) & (costs <= around[2:]))
-        begun += list(line[dips[np.argsort(costs[dips])][:tries]].astype(np.float32))
-    found = [start]
-    for z in begun:
-        point = solve(z, free, held, model, seen, sigma)
-        found.append(settle(point.coordinates, model, seen, free, held)[0])
-    return sorted(found, key=lambda s: -s.log_likelihood)

@@ -1,4 +1,4 @@
-"""``x.toml`` beside ``x.png``: the mask, shader and samples that belong to a target."""
+"""``x.toml`` beside ``x.png``: the mask or scene, shader and samples that belong to a target."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from godfit.errors import InputError
 
-FILES = ("mask", "background")
+FILES = ("mask", "scene", "background")
 SCATTERING: dict[str, type | tuple[type, ...]] = {
     "shader": str,
     "samples": int,

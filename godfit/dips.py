@@ -1,0 +1,302 @@
+"""Dips of the cost in density: found, and told apart.
+
+Density is seen where the rays end, and each of the shader's n taps leaves a band there, so that the
+cost has a dip for every band, some 1/n of density apart. ``reseed`` walks along the valley, the
+other coordinates following, and tries the other dips on a few thousand pixels; ``next_dips`` and
+``rivals`` hold the neighbours against each other on more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from godfit.inference import evidence, misfit
+from godfit.likelihood import deviance_residuals
+from godfit.models import AbstractModel, Vector
+from godfit.observation import Observation, Picture, blurred
+from godfit.search import (
+    EXPLAINED,
+    LADDER,
+    PIXELS,
+    SIGMAS,
+    WITHIN_ROUNDING,
+    Settled,
+    Tangent,
+    settle,
+)
+from godfit.solver import solve
+
+CORRECTIONS = 3
+# A dip of density is about 1/samples wide.
+FAR_VALUES = 400
+# Dips either way that are looked into on more pixels, and how many of them are tried.
+RIVAL_PIXELS, RIVAL_DIPS, RIVALS = 1 << 14, 6, 2
+# Log-likelihood on the subset by which a point may fall behind and still be tried on all pixels.
+DOUBT = 8.0
+CANDIDATES = 3
+MAX_DIPS = 5
+MAX_RESEEDS = 3
+MAX_RIVALRIES = 4
+
+
+def on_subset(
+    picture: Picture,
+    model: AbstractModel,
+    coordinates: np.ndarray,
+    free: np.ndarray,
+    held: np.ndarray,
+    seed: int,
+    say: Callable[[str], None],
+) -> list[np.ndarray]:
+    """Sharp images, a few thousand pixels: the best point, and where density is in doubt, those
+    that all pixels must decide between."""
+    seen = picture.observe(picture.informative(PIXELS, seed))
+    settled, tangent = settle(coordinates, model, seen, free, held)
+    along, dip, doubtful = _dips(settled, tangent, model, seen, free)
+    if not doubtful and settled.sigma < 2 * SIGMAS[0]:
+        return [settled.coordinates]
+    say("other densities")
+    found = reseed(settled, along, model, picture, free, held, seed)
+    for _ in range(MAX_RESEEDS):
+        best = found[0]
+        if best.sigma < EXPLAINED or _like_noise(best, model, seen, held):
+            break
+        again = correct(best.coordinates, model, picture, free, held, seed)
+        again, _ = settle(again, model, seen, free, held)
+        if again.log_likelihood < best.log_likelihood:
+            again = best
+        found = reseed(again, along, model, picture, free, held, seed)
+        if found[0].log_likelihood < best.log_likelihood + 1:
+            break
+    close: list[Settled] = []
+    for other in found:
+        apart = all(abs(other.coordinates[along] - c.coordinates[along]) > dip / 20 for c in close)
+        if apart and other.log_likelihood > found[0].log_likelihood - DOUBT:
+            close.append(other)
+    return [c.coordinates for c in close[:CANDIDATES]]
+
+
+def _like_noise(at: Settled, model: AbstractModel, seen: Observation, held: np.ndarray) -> bool:
+    fitted = model.moved(jnp.asarray(at.coordinates), jnp.asarray(held))
+    return misfit(np.asarray(seen.predict(fitted)), seen).like_noise
+
+
+def _dips(
+    settled: Settled,
+    tangent: Tangent,
+    model: AbstractModel,
+    seen: Observation,
+    free: np.ndarray,
+) -> tuple[int, float, bool]:
+    """Index of density, the distance between two dips of the cost in it (one band, a shift of the
+    rays' end by one tap), and whether its error is wide enough for another dip to be the right one.
+    """
+    along = list(model.parameters).index("density")
+    dip = float(settled.coordinates[along]) / model.samples
+    variance = evidence(settled, tangent, seen).covariance(free)[along, along]
+    return along, dip, bool(free[along] and variance > (dip / 20) ** 2)
+
+
+def next_dips(
+    settled: Settled,
+    tangent: Tangent,
+    model: AbstractModel,
+    seen: Observation,
+    free: np.ndarray,
+    held: np.ndarray,
+) -> tuple[Settled, Tangent]:
+    """From dip to dip, both ways, as long as the likelihood of all pixels gains."""
+    along, dip, doubtful = _dips(settled, tangent, model, seen, free)
+    if not doubtful:
+        return settled, tangent
+    covariance = evidence(settled, tangent, seen).covariance(free)
+    follow = covariance[:, along] / covariance[along, along]
+    for way in (-dip, dip):
+        for _ in range(MAX_DIPS):
+            start = (settled.coordinates + way * follow).astype(np.float32)
+            other = settle(start, model, seen, free, held)
+            if other[0].log_likelihood <= settled.log_likelihood + 0.5:
+                break
+            settled, tangent = other
+    return settled, tangent
+
+
+def beat_rivals(
+    settled: Settled,
+    tangent: Tangent,
+    model: AbstractModel,
+    picture: Picture,
+    seen: Observation,
+    free: np.ndarray,
+    held: np.ndarray,
+    seed: int,
+) -> tuple[Settled, Tangent]:
+    """The likeliest of the dips around, on all pixels of ``seen``. With noise a wrong dip looks as
+    good as the right one until they are held against each other."""
+    for _ in range(MAX_RIVALRIES):
+        along, dip, _ = _dips(settled, tangent, model, seen, free)
+        if not free[along] or settled.sigma < WITHIN_ROUNDING:
+            break
+        before = settled.log_likelihood
+        for z in rivals(settled, along, dip, model, picture, free, held, seed):
+            other = settle(z, model, seen, free, held)
+            if other[0].log_likelihood > settled.log_likelihood:
+                settled, tangent = other
+        if settled.log_likelihood < before + 0.5:
+            break
+    return settled, tangent
+
+
+def rivals(
+    start: Settled,
+    along: int,
+    dip: float,
+    model: AbstractModel,
+    picture: Picture,
+    free: np.ndarray,
+    held: np.ndarray,
+    seed: int,
+) -> list[np.ndarray]:
+    """Coordinates in the deepest dips of ``along`` near ``start`` but for its own, seen by more
+    pixels: where noise hides the bands, a few thousand pixels cannot tell one dip from another."""
+    pixels = picture.informative(RIVAL_PIXELS, seed)
+    seen = picture.observe(pixels)
+    smooth = picture.observe(pixels, LADDER[1][0] * max(picture.size))
+    lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
+    at = start.coordinates
+    switch = free.astype(np.float32)
+    follow = np.asarray(_valley(jnp.asarray(at), switch, held, along, model, smooth))
+    away = dip * np.linspace(-RIVAL_DIPS, RIVAL_DIPS, 10 * RIVAL_DIPS + 1)
+    line = np.clip(at + np.outer(away, follow), lower, upper)
+    sigma = jnp.float32(start.sigma)
+    costs = np.asarray(_costs(jnp.asarray(line, jnp.float32), held, model, seen, sigma))
+    costs = np.where(np.isfinite(costs) & (np.abs(away) > dip / 2), costs, np.inf)
+    around = np.pad(costs, 1, constant_values=np.inf)
+    dips = np.flatnonzero(np.isfinite(costs) & (costs <= around[:-2]) & (costs <= around[2:]))
+    best = dips[np.argsort(costs[dips])][:RIVALS]
+    begun = line[best].astype(np.float32)
+    return [solve(z, free, held, model, seen, start.sigma).coordinates for z in begun]
+
+
+def correct(
+    start: np.ndarray,
+    model: AbstractModel,
+    picture: Picture,
+    free: np.ndarray,
+    held: np.ndarray,
+    seed: int,
+) -> np.ndarray:
+    """Down the ladder again with its bias taken out.
+
+    A picture from a blurred mask is not the blurred picture: far along the ray the mask should be
+    blurred less, which draws density away from 1. The difference between the two at the present
+    point is added to the blurred target, as coarse levels are corrected in multigrid (the full
+    approximation scheme: Brandt, Math. Comp. 31 (1977), 333).
+    """
+    pixels = picture.informative(PIXELS, seed)
+    lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
+    z = start
+    for share, _, sigma in LADDER:
+        blur = share * max(picture.size)
+        seen = picture.observe(pixels, blur)
+        for _ in range(CORRECTIONS):
+            at = model.moved(jnp.asarray(z), jnp.asarray(held))
+            sharp = picture.rendered(at)
+            coarse = seen.predict(at)
+            bias = coarse - blurred(sharp, blur).reshape(-1, picture.channels)[pixels].reshape(-1)
+            shifted = eqx.tree_at(lambda s: (s.lo, s.hi), seen, (seen.lo + bias, seen.hi + bias))
+            z = solve(z, free, held, model, shifted, sigma, bounded=False).coordinates
+            z = np.clip(z, lower, upper)
+    return z
+
+
+@eqx.filter_jit
+def _valley(
+    coordinates: Vector,
+    free: Vector,
+    held: Vector,
+    along: int,
+    model: AbstractModel,
+    seen: Observation,
+) -> Float[Array, " p"]:
+    """How the other coordinates follow coordinate ``along`` on the valley's floor."""
+    jacobian = jax.jacfwd(lambda z: seen.predict(model.moved(z, held)))(coordinates)
+    inside = jnp.isfinite(seen.lo) & jnp.isfinite(seen.hi)
+    jacobian = jnp.where(inside[:, None], jacobian, 0.0) * free[None]
+    size = jnp.sqrt((jacobian**2).sum(0))
+    size = jnp.where(size > 0, size, 1.0)
+    others = (jacobian / size[None]).at[:, along].set(0.0)
+    follow = -jnp.linalg.lstsq(others, jacobian[:, along], rcond=1e-4)[0] / size
+    return follow.at[along].set(1.0)
+
+
+@eqx.filter_jit
+def _costs(
+    points: Float[Array, "n p"],
+    held: Vector,
+    model: AbstractModel,
+    seen: Observation,
+    sigma: Float[Array, ""],
+) -> Float[Array, " n"]:
+    def cost(z):
+        prediction = seen.predict(model.moved(z, held))
+        return 0.5 * (deviance_residuals(prediction, seen.lo, seen.hi, sigma) ** 2).sum()
+
+    return jax.lax.map(cost, points)
+
+
+def reseed(
+    start: Settled,
+    along: int,
+    model: AbstractModel,
+    picture: Picture,
+    free: np.ndarray,
+    held: np.ndarray,
+    seed: int,
+    *,
+    tries: int = 6,
+) -> list[Settled]:
+    """Walk along the valley of coordinate ``along`` and settle anew in its deepest dips; the best
+    first, ``start`` among them."""
+    pixels = picture.informative(PIXELS, seed)
+    seen = picture.observe(pixels)
+    smooth = picture.observe(pixels, LADDER[1][0] * max(picture.size))
+    lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
+    at = start.coordinates
+    here = at[along]
+    # Two lines through the start: one where all other coordinates follow along the valley's floor,
+    # one where only those that the image is linear in do, for a start that is right but for this.
+    linear = free & model.linear()
+    lines = []
+    for moving in (free, linear):
+        switch = moving.astype(np.float32)
+        switch[along] = 1
+        follow = np.asarray(_valley(jnp.asarray(at), switch, held, along, model, smooth))
+        near = here * (1 + np.linspace(-0.06, 0.06, 121))
+        far = np.linspace(max(lower[along], 0.05), upper[along], FAR_VALUES)
+        values = np.sort(np.concatenate([near, far]))
+        values = values[(values >= lower[along]) & (values <= upper[along])]
+        lines.append(np.clip(at + np.outer(values - here, follow), lower, upper))
+    # As sharp as the start is good: a blunter likelihood cannot tell the dips apart, a sharper one
+    # sees nothing of those whose bottom lies a little beside the line.
+    sigma = float(np.clip(start.sigma, 0.02, 0.3))
+    begun: list[np.ndarray] = []
+    for line in lines:
+        costs = np.asarray(
+            _costs(jnp.asarray(line, jnp.float32), held, model, seen, jnp.float32(sigma))
+        )
+        costs = np.where(np.isfinite(costs), costs, np.inf)
+        around = np.pad(costs, 1, constant_values=np.inf)
+        dips = np.flatnonzero((costs <= around[:-2]) & (costs <= around[2:]))
+        begun += list(line[dips[np.argsort(costs[dips])][:tries]].astype(np.float32))
+    found = [start]
+    for z in begun:
+        point = solve(z, free, held, model, seen, sigma)
+        found.append(settle(point.coordinates, model, seen, free, held)[0])
+    return sorted(found, key=lambda s: -s.log_likelihood)

@@ -1,0 +1,308 @@
+"""Scene -> occlusion mask, anti-aliased exactly and differentiable at its contours.
+
+What is visible is piecewise constant and has no derivative: it comes from compiled code
+(``visibility.py``) behind a callback. All the derivative lies in the contours (Li, Aittala, Durand
+& Lehtinen, SIGGRAPH Asia 2018, section 4): as an edge's ends move on the screen, it sweeps over so
+much of a pixel, and the pixel goes from the colour on one side to that on the other. The ends are
+functions of the scene in JAX, so that forward and reverse mode reach objects, camera and light.
+
+The light is a sphere. Its outline is the circle in which the cone of tangents from the camera
+touches it, drawn as a polygon of equal area with OUTLINE corners; inside and depth are exact.
+"""
+
+from __future__ import annotations
+
+import functools
+import threading
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from godfit.errors import InputError
+from godfit.scene import Scene
+
+OUTLINE = 512
+# Fragments of contour (one edge in one pixel) that a picture has room for, beside a quarter of its
+# pixels. A skull of 31,016 triangles at 512x512 has 8,000.
+FRAGMENTS = 1 << 16
+
+# The callbacks share the machine's cores already: two at once would only be in each other's way.
+_one_at_a_time = threading.Lock()
+
+
+class Visible(NamedTuple):
+    """At the pixel centres: label (h, w), 0 background, 1 light, 2 + i object i; and depth (h, w)
+    along the view, infinite where nothing is."""
+
+    label: Int[Array, "h w"]
+    depth: Float[Array, "h w"]
+
+
+def palette(scene: Scene) -> tuple[tuple[float, float, float], ...]:
+    """The different colours of a scene, that of the background first."""
+    found = [scene.background, scene.light.colour, *(o.colour for o in scene.objects)]
+    return tuple(dict.fromkeys(found))
+
+
+def rasterise(scene: Scene, *, antialias: bool = True) -> Float[Array, "h w"] | Float[Array, "..."]:
+    """The occlusion mask of a scene: (h, w), or (h, w, 3) where a colour is not grey; row 0 at the
+    top, linear.
+
+    With ``antialias`` a pixel is the mean over its area, exactly, and the mask is differentiable in
+    the positions, rotations and scales of the objects, the camera and the light. Without, it has
+    the colour of its centre, as WebGL draws it, and the derivative is zero.
+
+    Surfaces of different colours that pass through each other are anti-aliased; the line where
+    they do so has no derivative. Raises InputError for a light that is not before the camera, and
+    where the contours have more fragments than ``FRAGMENTS`` leaves room for.
+    """
+    colours = np.array(palette(scene))
+    grey = (colours == colours[:, :1]).all()
+    values = jnp.asarray(colours[:, 0] if grey else colours, scene.light.position.dtype)
+    if antialias:
+        return coverage(scene) @ values
+    colour_of = np.array([palette(scene).index(c) for c in _colours(scene)])
+    return values[jnp.asarray(colour_of)[visible(scene).label]]
+
+
+def visible(scene: Scene) -> Visible:
+    """What is seen through the pixel centres. Piecewise constant: without derivative."""
+    view = _view(scene)
+    dtype = scene.light.position.dtype
+    shape = (
+        jax.ShapeDtypeStruct(scene.size, jnp.int32),
+        jax.ShapeDtypeStruct(scene.size, dtype),
+    )
+    label, depth = jax.pure_callback(
+        functools.partial(_visible, scene.size, scene.camera.near, scene.camera.far),
+        shape,
+        *jax.lax.stop_gradient(view),
+        vmap_method="sequential",
+    )
+    return Visible(label, depth)
+
+
+def coverage(scene: Scene) -> Float[Array, "h w colours"]:
+    """The share of every pixel that each colour of ``palette`` covers; sums to one."""
+    height, width = scene.size
+    colours = palette(scene)
+    colour_of = tuple(colours.index(c) for c in _colours(scene))
+    room = FRAGMENTS + height * width // 4
+    dtype = scene.light.position.dtype
+    view = _view(scene)
+    shape = (
+        jax.ShapeDtypeStruct((height, width, len(colours)), dtype),
+        jax.ShapeDtypeStruct((room,), jnp.int32),
+        jax.ShapeDtypeStruct((room, 4), jnp.int32),
+        jax.ShapeDtypeStruct((room, len(colours), 4), dtype),
+    )
+    share, pixel, made_of, weight = jax.pure_callback(
+        functools.partial(_contours, scene.size, scene.camera.near, scene.camera.far, colour_of),
+        shape,
+        *jax.lax.stop_gradient(view),
+        vmap_method="sequential",
+    )
+    ends = jnp.concatenate(
+        [_screen(scene, view, made_of[:, k], made_of[:, k + 1]) for k in (0, 2)], -1
+    )
+    # Zero, with the derivative of the contour.
+    moved = jnp.einsum("fck,fk->fc", weight, ends - jax.lax.stop_gradient(ends))
+    return share.reshape(-1, len(colours)).at[pixel].add(moved).reshape(share.shape)
+
+
+def on_screen(scene: Scene) -> Float[Array, "2"]:
+    """Texture coordinates (u, v) of the light's centre, on the screen or off it. The light must lie
+    before the camera: the rays of one behind it would be mirrored."""
+    x, y, z = _rotation(scene) @ (scene.light.position - scene.camera.position)
+    focal = _focal(scene)
+    aspect = scene.size[1] / scene.size[0]
+    return jnp.stack([0.5 + 0.5 * focal / aspect * x / -z, 0.5 + 0.5 * focal * y / -z])
+
+
+class _View(NamedTuple):
+    """What the callbacks are given: vertices in camera space, the outline's last, and the rest."""
+
+    vertices: Float[Array, "v 3"]
+    faces: Int[Array, "f 3"]
+    face_label: Int[Array, " f"]
+    edges: Int[Array, "e 4"]
+    centre: Float[Array, "3"]
+    radius: Float[Array, ""]
+    focal: Float[Array, ""]
+
+
+def _colours(scene: Scene):
+    """Colour by label."""
+    return [scene.background, scene.light.colour, *(o.colour for o in scene.objects)]
+
+
+def _focal(scene: Scene) -> Float[Array, ""]:
+    return 1 / jnp.tan(jnp.deg2rad(scene.camera.fov_y) / 2)
+
+
+def _rotation(scene: Scene) -> Float[Array, "3 3"]:
+    """World to camera, rows right, up and back: three.js's lookAt."""
+    camera = scene.camera
+    back = camera.position - camera.target
+    back = back / jnp.linalg.norm(back)
+    right = jnp.cross(camera.up, back)
+    right = right / jnp.linalg.norm(right)
+    return jnp.stack([right, jnp.cross(back, right), back])
+
+
+def _view(scene: Scene) -> _View:
+    turn = _rotation(scene)
+
+    def seen(points):
+        return (points - scene.camera.position[None]) @ turn.T
+
+    centre = seen(scene.light.position[None])[0]
+    vertices, faces, labels, edges, first = [], [], [], [], 0
+    for i, thing in enumerate(scene.objects):
+        vertices.append(seen(thing.world()))
+        faces.append(thing.faces + first)
+        # -1 and -2 are no vertices.
+        edges.append(jnp.where(thing.edges < 0, thing.edges, thing.edges + first))
+        labels.append(jnp.full(thing.faces.shape[0], i + 2, jnp.int32))
+        first += thing.vertices.shape[0]
+    vertices.append(_outline(centre, scene.light.radius))
+    none = jnp.zeros((0, 3), jnp.int32), jnp.zeros(0, jnp.int32), jnp.zeros((0, 4), jnp.int32)
+    return _View(
+        jnp.concatenate(vertices),
+        jnp.concatenate([none[0], *faces]),
+        jnp.concatenate([none[1], *labels]),
+        jnp.concatenate([none[2], *edges]),
+        centre,
+        scene.light.radius,
+        _focal(scene),
+    )
+
+
+def _outline(centre: Float[Array, "3"], radius: Float[Array, ""]) -> Float[Array, "n 3"]:
+    """Corners of the light's outline in camera space."""
+    squared = centre @ centre
+    axis = centre / jnp.sqrt(squared)
+    # Two directions across the axis (Duff et al., JCGT 6 (2017), 1).
+    sign = jnp.where(axis[2] < 0, -1.0, 1.0).astype(centre.dtype)
+    a = -1 / (sign + axis[2])
+    b = axis[0] * axis[1] * a
+    across = jnp.stack([1 + sign * axis[0] ** 2 * a, sign * b, -sign * axis[0]])
+    up = jnp.stack([b, sign + axis[1] ** 2 * a, -axis[1]])
+    share = radius**2 / squared
+    turn = 2 * np.pi / OUTLINE
+    # The corners lie a little outside, for the area of the circle.
+    size = radius * jnp.sqrt(jnp.maximum(1 - share, 0)) * np.sqrt(turn / np.sin(turn))
+    angle = np.arange(OUTLINE) * turn
+    circle = jnp.asarray(np.cos(angle), centre.dtype)[:, None] * across[None]
+    circle = circle + jnp.asarray(np.sin(angle), centre.dtype)[:, None] * up[None]
+    return centre[None] * (1 - share) + size * circle
+
+
+def _screen(scene: Scene, view: _View, i: Int[Array, " f"], j: Int[Array, " f"]):
+    """(f, 2) x and y in pixels of the points made of vertices i and j; see ``visibility.Edges``."""
+    a, b = view.vertices[i], view.vertices[j]
+    drop = b[:, 2] - a[:, 2]
+    share = jnp.where(i == j, 0.0, (-scene.camera.near - a[:, 2]) / jnp.where(i == j, 1.0, drop))
+    x, y, z = jnp.moveaxis(a + share[:, None] * (b - a), -1, 0)
+    # Unused fragments are made of any vertex, which may lie in the camera's plane.
+    depth = jnp.where(-z > 0.5 * scene.camera.near, -z, 1.0)
+    height, width = scene.size
+    scale = 0.5 * height * view.focal / depth
+    return jnp.stack([0.5 * width + scale * x, 0.5 * height - scale * y], -1)
+
+
+def _lens(size: tuple[int, int], near: float, far: float, focal: float):
+    from godfit.visibility import Lens
+
+    height, width = size
+    return Lens(
+        0.5 * height * focal, 0.5 * height * focal, 0.5 * width, 0.5 * height, near, far
+    )  # fmt: skip
+
+
+def _drawn(size, near, far, view):
+    """Triangles, cuts, lens and labels of a view, in float64."""
+    from godfit import visibility
+
+    vertices, faces, face_label, edges, centre, radius, focal = (np.asarray(z) for z in view)
+    vertices, centre = vertices.astype(np.float64), centre.astype(np.float64)
+    if not -centre[2] > near:
+        raise InputError(
+            "light: expected it before the camera, got a place behind it, where its rays would be "
+            "mirrored; move the camera or the light"
+        )
+    lens = _lens(size, near, far, float(focal))
+    triangles, cuts = visibility.screen_triangles(vertices, faces, face_label, lens, size)
+    label, q = visibility.label(triangles, lens, centre, float(radius), size)
+    return vertices, edges, centre, float(radius), lens, triangles, cuts, label, q
+
+
+def _visible(size, near, far, *view):
+    with _one_at_a_time:
+        *_, label, q = _drawn(size, near, far, view)
+    dtype = np.asarray(view[0]).dtype
+    with np.errstate(divide="ignore"):
+        return label, (1 / q).astype(dtype)
+
+
+def _contours(size, near, far, colour_of, *view):
+    from godfit import visibility
+
+    with _one_at_a_time:
+        vertices, edges, centre, radius, lens, triangles, cuts, label, _ = _drawn(
+            size, near, far, view
+        )
+        outline = len(vertices) - OUTLINE
+        candidates = visibility.screen_edges(vertices, edges, outline, cuts, lens, size)
+        colours = np.array(colour_of)
+        found = visibility.contours(
+            triangles,
+            candidates,
+            label,
+            colours,
+            max(colour_of) + 1,
+            lens,
+            centre,
+            radius,
+            _may_cross(vertices[:outline], np.asarray(view[1]), np.asarray(view[2]), colours,
+                       centre, radius),
+        )  # fmt: skip
+    count, room = len(found.pixel), FRAGMENTS + size[0] * size[1] // 4
+    if count > room:
+        raise InputError(
+            f"scene: expected at most {room:,} pieces of contour in {size[1]}x{size[0]} pixels, "
+            f"got {count:,}; simplify the mesh or enlarge the image"
+        )
+    dtype = np.asarray(view[0]).dtype
+    pixel, made_of = np.zeros(room, np.int32), np.zeros((room, 4), np.int32)
+    weight = np.zeros((room, max(colour_of) + 1, 4), dtype)
+    pixel[:count], made_of[:count] = found.pixel, candidates.made_of[found.edge]
+    weight[:count] = found.weight
+    return found.share.astype(dtype), pixel, made_of, weight
+
+
+def _may_cross(vertices, faces, face_label, colours, centre, radius) -> bool:
+    """Whether surfaces of different colours may pass through each other: a triangle the light's
+    sphere, or two objects whose boxes overlap."""
+    used = np.unique(face_label)
+    for i in used[colours[used] != colours[1]]:
+        corners = vertices[faces[face_label == i]]
+        far = np.linalg.norm(corners - centre, axis=-1)
+        size = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).max(-1)
+        if ((far.min(-1) - size < radius) & (far.max(-1) > radius)).any():
+            return True
+    boxes = {}
+    for i in used:
+        corners = vertices[faces[face_label == i]].reshape(-1, 3)
+        boxes[i] = corners.min(0), corners.max(0)
+    return any(
+        colours[i] != colours[j]
+        and (boxes[i][0] < boxes[j][1]).all()
+        and (boxes[j][0] < boxes[i][1]).all()
+        for i in used
+        for j in used
+        if i < j
+    )

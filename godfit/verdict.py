@@ -1,0 +1,165 @@
+"""What the settled fit is worth: values, errors, what is open, and whether to believe it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from godfit import search
+from godfit.inference import Evidence, Misfit, misfit
+from godfit.models import AbstractModel, Vector
+from godfit.observation import LEVELS, Observation, Picture
+from godfit.result import Estimate, FitResult
+
+
+@dataclass
+class Found:
+    """Where a fit ended. ``free`` and ``held`` (p,) say what moved and where the rest was held;
+    ``opened`` are the coordinates that the picture leaves open, each with those it trades with."""
+
+    model: AbstractModel
+    picture: Picture
+    seen: Observation
+    settled: search.Settled
+    at: Evidence
+    free: np.ndarray
+    held: np.ndarray
+    opened: list[tuple[int, list[int]]]
+
+
+def verdict(
+    found: Found,
+    used: np.ndarray,
+    notes: tuple[str, ...],
+    files: dict[str, dict[str, str]],
+    timing: dict[str, float],
+) -> FitResult:
+    """The result; ``used`` (p,) says which parameters the shader has."""
+    model, picture, seen = found.model, found.picture, found.seen
+    settled, at, free, held = found.settled, found.at, found.free, found.held
+    open_, pixels = found.opened, np.asarray(found.seen.pixels)
+    names = list(model.parameters)
+    opened = [i for i, _ in open_]
+    z = np.where(np.isnan(held), settled.coordinates, held)
+    z = np.where(np.isin(np.arange(len(names)), opened), z, settled.coordinates)
+    # An open parameter is held only for want of better: what it would move is not known either.
+    loose = np.where(np.isin(np.arange(len(names)), opened), np.nan, held).astype(np.float32)
+    fitted, values, by_coordinate = _parameters(model, z.astype(np.float32), loose)
+    values, by_coordinate = np.asarray(values), np.asarray(by_coordinate, np.float64)
+    # The pixels of an upsampled pass share its texels and say no more than these.
+    low, full = np.prod(picture.mask.shape[:2]), np.prod(picture.size)
+    by_pixel = at.covariance(free) * (full / low)
+    covariance = by_coordinate @ by_pixel @ by_coordinate.T
+    # A parameter that an open coordinate would change is not known, however well the rest is.
+    unknown = (
+        (np.abs(by_coordinate[:, opened]) > 0).any(1) if opened else np.zeros(len(names), bool)
+    )
+    unknown |= np.isin(np.arange(len(names)), opened) | (np.diag(covariance) <= 0)
+    stderr = np.sqrt(np.where(unknown, np.nan, np.diag(covariance)))
+    covariance[unknown] = covariance[:, unknown] = np.nan
+    lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
+    # Within its error of a bound, a value is as good as on it.
+    error = np.sqrt(np.diag(by_pixel))
+    at_bound = (settled.coordinates - lower <= error) | (upper - settled.coordinates <= error)
+    params = {
+        name: Estimate(
+            float(values[i]),
+            None if unknown[i] else float(stderr[i]),
+            fixed=bool(not np.isnan(held[i]) and i not in opened),
+            at_bound=bool(free[i] and at_bound[i]),
+        )
+        for i, name in enumerate(names)
+        if used[i]
+    }
+    target = picture.levels.reshape(-1, picture.channels)[pixels].reshape(-1)
+    error = np.clip(at.prediction, 0, LEVELS) - target
+    rmse = float(np.sqrt(np.mean(error.astype(np.float64) ** 2)))
+    left = misfit(at.prediction, seen)
+    # A pass that is upsampled was rounded once before.
+    allowed = search.WITHIN_ROUNDING * (2 if low < full else 1)
+    trusted = settled.sigma <= allowed or left.like_noise
+    converged = trusted and settled.quiet
+    return FitResult(
+        converged=converged,
+        message=_message(settled, trusted, left),
+        model=fitted,
+        params=params,
+        covariance=covariance,
+        correlations=_correlations(names, covariance),
+        undetermined=_sentences(open_, names, values),
+        notes=notes,
+        noise_levels=settled.sigma,
+        rmse_levels=rmse,
+        psnr_db=float(20 * np.log10(LEVELS / max(rmse, 1e-6))),
+        pixels=len(pixels),
+        pixels_clipped=int((picture.clipped() & picture.valid).sum()),
+        residual_correlation=left.correlation,
+        residual_tails=left.tails,
+        log_likelihood=settled.log_likelihood,
+        timing_s=timing | {"solve": timing["solve"] - timing["compile"]},
+        picture=picture,
+        inputs=files,
+    )
+
+
+@eqx.filter_jit
+def _parameters(model: AbstractModel, coordinates: Vector, held: Vector):
+    """The model at ``coordinates``, its parameters (p,), their derivatives (p, p) by coordinate."""
+
+    def values(z):
+        return jnp.stack(list(model.moved(z, held).values().values()))
+
+    return model.moved(coordinates, held), values(coordinates), jax.jacfwd(values)(coordinates)
+
+
+def _message(settled: search.Settled, trusted: bool, left: Misfit) -> str:
+    if not trusted:
+        return (
+            f"the residual is not noise (of {settled.sigma:.2f} levels, neighbours correlated by "
+            f"{left.correlation:.2f}, tails of {left.tails:.1f} where noise has 3): the shader, "
+            "mask or transfer may be another, or the best point was missed; try --start"
+        )
+    if not settled.quiet:
+        return "the steps had not died down when the fit stopped; try --start near this answer"
+    return "converged"
+
+
+def _correlations(names: list[str], covariance: np.ndarray) -> dict[str, float]:
+    """Correlations above 0.1 in size, largest first."""
+    size = np.sqrt(np.diag(covariance))
+    pairs = {
+        f"{names[i]},{names[j]}": float(covariance[i, j] / (size[i] * size[j]))
+        for i in range(len(names))
+        for j in range(i + 1, len(names))
+        if np.isfinite(covariance[i, j]) and size[i] > 0 and size[j] > 0
+    }
+    ordered = sorted(pairs.items(), key=lambda item: -abs(item[1]))
+    return {pair: value for pair, value in ordered if abs(value) > 0.1}
+
+
+def _sentences(
+    open_: list[tuple[int, list[int]]], names: list[str], values: np.ndarray
+) -> tuple[str, ...]:
+    """What is left open, in words."""
+    opened = [index for index, _ in open_]
+    said, alone = [], []
+    for index, partners in open_:
+        rest = [names[i] for i in partners if i not in opened]
+        if names[index] == "exposure" and 3 not in opened:
+            product = values[0] * values[3]
+            said.append(f"only exposure*weight is determined ({product:.6g})")
+        elif rest:
+            together = " and ".join([names[index], *rest])
+            said.append(f"only a combination of {together} is determined")
+        else:
+            alone.append(index)
+            continue
+        said[-1] += f"; {names[index]} was held at {values[index]:.6g}"
+    if alone:
+        held = ", ".join(f"{names[i]} (held at {values[i]:.6g})" for i in alone)
+        said.append(f"not determined by this picture: {held}")
+    return tuple(said)
