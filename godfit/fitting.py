@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from godfit import dips, inputs, search
+from godfit.contested import agreed
 from godfit.errors import InputError
 from godfit.inference import evidence, undetermined
 from godfit.inputs import Source
@@ -150,12 +151,11 @@ def _fit(
         held[0] = given.get("exposure", model.convention.defaults["exposure"])
         free[0] = False
         opened.append((0, [3]))
+    if scene is not None and isinstance(model, Mitchell) and not scene.antialias:
+        say("edge pixels")
+        begun = starts(picture.small, model, given, keep=STARTS, seed=seed)
+        picture = agreed(picture, scene, model, begun, free, held, seed)
     found = _look(picture, model, given, free, held, opened, seed, say)
-    if scene is not None and not staged and scene.antialias is None:
-        smooth = _smoother(found, scene)
-        if smooth is not None:
-            say("anti-aliased mask")
-            found = _look(smooth, model, given, free, held, opened, seed, say)
     timing = {"compile": compile_seconds() - compiled, "solve": time.perf_counter() - began}
     return verdict(found, used, notes, files, timing)
 
@@ -246,19 +246,6 @@ def _hold_open(found: Found, given: dict[str, float]) -> Found:
         free=free,
         opened=found.opened + more,
     )
-
-
-def _smoother(found: Found, scene: Scene) -> Picture | None:
-    """The picture with an anti-aliased mask, if the target agrees better with that."""
-    picture = found.picture
-    smooth = dataclasses.replace(picture, mask=inputs.drawn(scene, True))
-    fitted = found.model.moved(jnp.asarray(found.settled.coordinates), jnp.asarray(found.held))
-    valid = picture.valid & ~picture.clipped()
-
-    def misses(by: Picture) -> float:
-        return float(((by.rendered(fitted) - by.levels)[valid] ** 2).mean())
-
-    return smooth if valid.any() and misses(smooth) < misses(picture) else None
 
 
 def _pixels(picture: Picture, seed: int) -> np.ndarray:

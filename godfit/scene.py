@@ -22,7 +22,10 @@ from jaxtyping import Array, Float, Int
 
 from godfit import mesh
 from godfit.errors import InputError
+from godfit.image import TRANSFERS
+from godfit.parameters import SCATTERING as PARAMETERS
 from godfit.sidecar import SCATTERING
+from godfit.taps import convention
 
 Colour = tuple[float, float, float]
 # Numbers of the scene that a fit can free.
@@ -33,6 +36,12 @@ MAX_SIZE = 16384
 SETTINGS: dict[str, Any] = {k: v for k, v in SCATTERING.items() if k != "lights"} | dict.fromkeys(
     ("exposure", "decay", "density", "weight"), (int, float)
 )
+
+# From and to, both included.
+LIMITS = {p.name: (p.lower, min(p.upper, 1e18)) for p in PARAMETERS} | {
+    "samples": (2, 100000),
+    "pass_scale": (1e-3, 1),
+}
 
 
 class Camera(eqx.Module):
@@ -137,7 +146,7 @@ def read_scene(path: str | Path) -> Scene:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError(f"'{path}': expected a scene file, got no such file") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError) as error:  # ValueError: not UTF-8, not TOML, or a null in the path
         raise InputError(f"'{path}': expected TOML, got {error}; mend the file") from error
     root = _Table(path, "", data)
     image, camera, light = (root.table(key) for key in ("image", "camera", "light"))
@@ -167,9 +176,9 @@ def read_scene(path: str | Path) -> Scene:
     )
     for table in (image, camera, light, background, scattering):
         table.finish()
-    _check(path, scene)
-    inside = [f"the camera is inside object[{i}]" for i in _around_camera(scene)]
-    return dataclasses.replace(scene, notes=scene.notes + tuple(inside))
+    notes = _check(path, scene)
+    notes += tuple(f"the camera is inside object[{i}]" for i in _around_camera(scene))
+    return dataclasses.replace(scene, notes=scene.notes + notes)
 
 
 def _object(table: _Table) -> tuple[Object, tuple[str, ...]]:
@@ -209,8 +218,8 @@ def _array(value: Any) -> Array:
     return jnp.asarray(value, float)
 
 
-def _check(path: Path, scene: Scene) -> None:
-    """What no key is to blame for alone."""
+def _check(path: Path, scene: Scene) -> tuple[str, ...]:
+    """What no key is to blame for alone; notes on what is allowed and seldom meant."""
     camera, light = scene.camera, scene.light
     position, target, up, place = (
         np.asarray(z, float) for z in (camera.position, camera.target, camera.up, light.position)
@@ -241,6 +250,9 @@ def _check(path: Path, scene: Scene) -> None:
             f"'{path}': light.position: expected it before the camera, got depth {depth:g}, behind "
             "it or nearer than near; its rays would be mirrored. Move the camera or the light"
         )
+    if depth - float(light.radius) >= camera.far:
+        return ("the light lies beyond camera.far: nothing of it is drawn",)
+    return ()
 
 
 def _around_camera(scene: Scene) -> list[int]:
@@ -306,7 +318,7 @@ class _Table:
         above: float = -np.inf,
         below: float = np.inf,
     ) -> float:
-        expected = "a number"
+        expected = "a finite number"
         if above > -np.inf:
             expected += f" above {above:g}"
         if below < np.inf:
@@ -326,7 +338,7 @@ class _Table:
     def three(
         self, key: str, default: list[float] | None = None, above: float = -np.inf
     ) -> list[float]:
-        expected = "three numbers" + (f" above {above:g}" if above > -np.inf else "")
+        expected = "three finite numbers" + (f" above {above:g}" if above > -np.inf else "")
         value = self.get(key, default, expected)
         if (
             not isinstance(value, list)
@@ -360,6 +372,16 @@ class _Table:
         if not isinstance(value, kinds) or isinstance(value, bool):
             names = " or ".join(kind.__name__ for kind in kinds)
             raise self.error(key, names, repr(value))
+        expected = LIMITS.get(key)
+        if expected and not expected[0] <= value <= expected[1]:
+            raise self.error(key, f"from {expected[0]:g} to {expected[1]:g}", repr(value))
+        if key == "transfer" and value not in TRANSFERS:
+            raise self.error(key, " or ".join(map(repr, TRANSFERS)), repr(value))
+        if key == "shader":
+            try:
+                convention(value)
+            except InputError as error:
+                raise InputError(f"'{self.path}': scattering.{error}") from None
         return value
 
     def finish(self) -> None:
@@ -374,4 +396,5 @@ class _Table:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and np.isfinite(value)
+    # Finite in float32 as well; whole numbers in TOML may be of any length.
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e18

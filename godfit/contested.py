@@ -1,0 +1,186 @@
+"""Which way the edge pixels of a mask fall: the target decides.
+
+A mask drawn without anti-aliasing has, in every edge pixel, the colour of the pixel's centre, and
+where an edge passes near to the centre another renderer may take the other side: vertices are
+snapped to a fraction of a pixel, spheres are polygons. Few pixels are in doubt, but each throws a
+streak across the picture, which no other parameter explains. The light pass is linear in the mask,
+so that the residual, seen as a sum of such streaks, says what the mask held (least squares over the
+edge pixels, one unknown for each).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+from scipy import sparse
+
+from godfit import inputs
+from godfit.models import Mitchell
+from godfit.observation import LEVELS, Picture, shrink
+from godfit.radial.geometry import to_pixels
+from godfit.scene import Scene
+from godfit.search import climb
+from godfit.solver import solve
+
+ROUNDS = 4
+TRIMS = 4
+PIXELS = 8192
+# Levels that rounding leaves.
+LEAST_NOISE = 0.3
+# An edge pixel whose other colour has less of it than this is not in doubt.
+LEAST_SHARE = 0.1
+# Taps that read from so near the light (as a share of the ray) say nothing of single texels.
+NEAR_LIGHT = 0.05
+
+
+def agreed(
+    picture: Picture,
+    scene: Scene,
+    model: Mitchell,
+    begun: list[np.ndarray],
+    free: np.ndarray,
+    held: np.ndarray,
+    seed: int,
+) -> Picture:
+    """The picture with the scene's mask as the target has it: anti-aliased, or hard with the edge
+    pixels on the side that the target says. ``picture`` has the hard mask."""
+    if not free.any():
+        return picture
+    point = climb(picture.small, model, begun, free, held, seed, lambda text: None)
+    smooth = dataclasses.replace(picture, mask=inputs.drawn(scene, True))
+    if scene.antialias is None and _miss(smooth, model, point.coordinates, held) < _miss(
+        picture, model, point.coordinates, held
+    ):
+        return smooth
+    if model.convention.box:
+        return picture
+    doubt = _Doubt.of(np.atleast_3d(picture.mask), np.atleast_3d(smooth.mask))
+    z = point.coordinates
+    for _ in range(ROUNDS):
+        z = _off_streaks(picture, model, z, free, held, seed)
+        mask = doubt.settled(picture, model, z, held).reshape(picture.mask.shape)
+        if (mask == picture.mask).all():
+            break
+        picture = dataclasses.replace(picture, mask=mask)
+    return picture
+
+
+def _off_streaks(
+    picture: Picture, model: Mitchell, z: np.ndarray, free: np.ndarray, held: np.ndarray, seed: int
+) -> np.ndarray:
+    """Coordinates from pixels that no streak crosses: those whose residual is like most."""
+    pixels = picture.informative(PIXELS, seed)
+    for _ in range(TRIMS):
+        off = np.abs(_residual(picture, model, z, held)).max(-1).reshape(-1)[pixels]
+        kept = pixels[off <= max(4 * float(np.median(off)), 2 * LEAST_NOISE)]
+        # As many as before, so that nothing is compiled anew.
+        seen = picture.observe(np.sort(np.resize(kept, len(pixels))))
+        z = solve(z, free, held, model, seen, LEAST_NOISE).coordinates
+    return z
+
+
+def _residual(picture: Picture, model: Mitchell, z: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """(h, w, c) target minus fitted in levels, 0 where it says nothing."""
+    fitted = picture.rendered(model.moved(jnp.asarray(z), jnp.asarray(held)))
+    known = picture.valid & ~picture.clipped()
+    return np.where(known[..., None], picture.levels - fitted, 0.0)
+
+
+def _miss(picture: Picture, model: Mitchell, z: np.ndarray, held: np.ndarray) -> float:
+    return float((_residual(picture, model, z, held) ** 2).mean())
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Doubt:
+    """Edge pixels in doubt, (k,) rows and columns of the ``hard`` mask (h, w, c), and what each
+    would change by (k, c) if it fell the other way."""
+
+    hard: np.ndarray
+    rows: np.ndarray
+    columns: np.ndarray
+    change: np.ndarray
+
+    @staticmethod
+    def of(hard: np.ndarray, smooth: np.ndarray) -> _Doubt:
+        """Of the neighbours' colours, the one that most of the rest of the pixel has."""
+        rows, columns = np.nonzero((smooth != hard).any(-1))
+        h, w = hard.shape[:2]
+        here, mean = hard[rows, columns], smooth[rows, columns]
+        change, most = np.zeros_like(here), np.zeros(len(here))
+        for i in (-1, 0, 1):
+            for j in (-1, 0, 1):
+                other = hard[np.clip(rows + i, 0, h - 1), np.clip(columns + j, 0, w - 1)] - here
+                square = (other**2).sum(-1)
+                share = ((mean - here) * other).sum(-1) / np.where(square > 0, square, 1)
+                closer = (square > 0) & (share > most)
+                change, most = (
+                    np.where(closer[:, None], other, change),
+                    np.where(closer, share, most),
+                )
+        keep = most > LEAST_SHARE
+        return _Doubt(hard, rows[keep], columns[keep], change[keep])
+
+    def settled(self, picture: Picture, model: Mitchell, z: np.ndarray, held: np.ndarray):
+        """The mask (h, w, c) with every pixel in doubt on the side that the residual asks for."""
+        fitted = model.moved(jnp.asarray(z), jnp.asarray(held))
+        residual = _residual(picture, model, z, held)
+        channels, size = residual.shape[-1], self.hard.shape[:2]
+        # Where the target or the picture is clipped, streaks are not to be seen.
+        seen = picture.valid & ~picture.clipped()
+        seen &= (picture.rendered(fitted) < LEVELS).all(-1)
+        seen = shrink(seen.astype(np.float32), size).reshape(-1, 1) == 1
+        residual = np.where(seen, shrink(residual, size).reshape(-1, channels), 0.0)
+        streaks = sparse.csr_array(self._streaks(fitted) * seen)
+        now = np.atleast_3d(picture.mask)[self.rows, self.columns]
+        taken = ((now - self.hard[self.rows, self.columns]) * self.change).sum(-1)
+        taken = taken / (self.change**2).sum(-1)
+        # What the residual would be if no pixel had fallen the other way.
+        residual = residual + streaks @ (taken[:, None] * self.change)
+        noise = max(LEAST_NOISE, 1.5 * float(np.median(np.abs(residual))))
+        gram = (streaks.T @ streaks).toarray() * (self.change @ self.change.T)
+        pull = ((streaks.T @ residual) * self.change).sum(-1)
+        # Before it is looked at, a pixel has not fallen, give or take one half.
+        fallen = np.linalg.solve(gram + 4 * noise**2 * np.eye(len(pull)), pull) > 0.5
+        mask = self.hard.copy()
+        mask[self.rows, self.columns] += fallen[:, None] * self.change
+        return mask
+
+    def _streaks(self, model: Mitchell) -> sparse.csr_array:
+        """(h w, k) levels that each pixel of the light pass gains with a unit of each texel."""
+        h, w = self.hard.shape[:2]
+        entries = []
+        texels = np.arange(len(self.rows))
+        for light in model.light:
+            light_x, light_y = (float(z) for z in to_pixels(light, h, w))
+            for t, weight in _weights(model):
+                # Pixels that read texel p at t lie within one texel of (p - t light) / (1 - t).
+                x, y = (
+                    (p - t * centre) / (1 - t)
+                    for p, centre in ((self.columns, light_x), (self.rows, light_y))
+                )
+                reach = int(np.ceil(1 / (1 - t)))
+                steps = np.arange(-reach, reach + 1)
+                column = (np.round(x)[:, None, None] + steps[None, None, :]).astype(int)
+                row = (np.round(y)[:, None, None] + steps[None, :, None]).astype(int)
+                part = np.maximum(0, 1 - (1 - t) * np.abs(column - x[:, None, None]))
+                part = part * np.maximum(0, 1 - (1 - t) * np.abs(row - y[:, None, None]))
+                inside = (part > 0) & (column >= 0) & (column < w) & (row >= 0) & (row < h)
+                which = np.broadcast_to(texels[:, None, None], part.shape)[inside]
+                entries.append((weight * part[inside], (row * w + column)[inside], which))
+        values, pixels, which = (np.concatenate(z) for z in zip(*entries, strict=True))
+        shape = (h * w, len(texels))
+        return sparse.csr_array(sparse.coo_array((LEVELS * values, (pixels, which)), shape=shape))
+
+
+def _weights(model: Mitchell):
+    """(t, weight) of every tap, the pixel's own among them."""
+    (taps,) = model.convention.taps(
+        model.exposure, model.decay, model.density, model.weight, model.samples
+    )
+    yield 0.0, float(taps.own)
+    for k in range(1, taps.count + 1):
+        t = k * float(taps.step)
+        if t < 1 - NEAR_LIGHT:
+            yield t, float(taps.first) * float(taps.ratio) ** (k - 1)
