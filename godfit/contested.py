@@ -16,19 +16,22 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import sparse
 
-from godfit import inputs
+from godfit import dips, inputs
 from godfit.models import Mitchell
 from godfit.observation import LEVELS, Picture, shrink
 from godfit.radial.geometry import to_pixels
 from godfit.scene import Scene
 from godfit.search import climb
-from godfit.solver import solve
+from godfit.solver import linearise, scales, solve
 
 ROUNDS = 4
 TRIMS = 4
 PIXELS = 8192
 # Levels that rounding leaves.
 LEAST_NOISE = 0.3
+# Log-odds against a pixel falling the other way, and the share of a pixel by which renderers
+# disagree about where an edge is.
+RARE, TOLERANCE = 3.0, 0.05
 # An edge pixel whose other colour has less of it than this is not in doubt.
 LEAST_SHARE = 0.1
 # Taps that read from so near the light (as a share of the ray) say nothing of single texels.
@@ -50,20 +53,19 @@ def agreed(
         return picture
     point = climb(picture.small, model, begun, free, held, seed, lambda text: None)
     smooth = dataclasses.replace(picture, mask=inputs.drawn(scene, True))
-    if scene.antialias is None and _miss(smooth, model, point.coordinates, held) < _miss(
-        picture, model, point.coordinates, held
-    ):
-        return smooth
-    if model.convention.box:
-        return picture
-    doubt = _Doubt.of(np.atleast_3d(picture.mask), np.atleast_3d(smooth.mask))
     z = point.coordinates
-    for _ in range(ROUNDS):
-        z = _off_streaks(picture, model, z, free, held, seed)
-        mask = doubt.settled(picture, model, z, held).reshape(picture.mask.shape)
-        if (mask == picture.mask).all():
-            break
-        picture = dataclasses.replace(picture, mask=mask)
+    if not model.convention.box:
+        doubt = _Doubt.of(np.atleast_3d(picture.mask), np.atleast_3d(smooth.mask))
+        for _ in range(ROUNDS):
+            z = _off_streaks(picture, model, z, free, held, seed)
+            mask = doubt.settled(picture, model, z, free, held).reshape(picture.mask.shape)
+            if (mask == picture.mask).all():
+                break
+            picture = dataclasses.replace(picture, mask=mask)
+    if scene.antialias is None:
+        soft = _off_streaks(smooth, model, point.coordinates, free, held, seed)
+        if _miss(smooth, model, soft, held) < _miss(picture, model, z, held):
+            return smooth
     return picture
 
 
@@ -73,12 +75,14 @@ def _off_streaks(
     """Coordinates from pixels that no streak crosses: those whose residual is like most."""
     pixels = picture.informative(PIXELS, seed)
     for _ in range(TRIMS):
-        off = np.abs(_residual(picture, model, z, held)).max(-1).reshape(-1)[pixels]
-        kept = pixels[off <= max(4 * float(np.median(off)), 2 * LEAST_NOISE)]
+        off = np.abs(_residual(picture, model, z, held)).max(-1)
+        like_most = off <= max(4 * float(np.median(off.reshape(-1)[pixels])), 2 * LEAST_NOISE)
+        kept = pixels[like_most.reshape(-1)[pixels]]
         # As many as before, so that nothing is compiled anew.
         seen = picture.observe(np.sort(np.resize(kept, len(pixels))))
         z = solve(z, free, held, model, seen, LEAST_NOISE).coordinates
-    return z
+    trimmed = dataclasses.replace(picture, valid=picture.valid & like_most)
+    return dips.on_subset(trimmed, model, z, free, held, seed, lambda text: None)[0]
 
 
 def _residual(picture: Picture, model: Mitchell, z: np.ndarray, held: np.ndarray) -> np.ndarray:
@@ -94,13 +98,14 @@ def _miss(picture: Picture, model: Mitchell, z: np.ndarray, held: np.ndarray) ->
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Doubt:
-    """Edge pixels in doubt, (k,) rows and columns of the ``hard`` mask (h, w, c), and what each
-    would change by (k, c) if it fell the other way."""
+    """Edge pixels in doubt, (k,) rows and columns of the ``hard`` mask (h, w, c), what each would
+    change by (k, c) if it fell the other way, and the share of it that has that colour."""
 
     hard: np.ndarray
     rows: np.ndarray
     columns: np.ndarray
     change: np.ndarray
+    share: np.ndarray
 
     @staticmethod
     def of(hard: np.ndarray, smooth: np.ndarray) -> _Doubt:
@@ -114,15 +119,18 @@ class _Doubt:
                 other = hard[np.clip(rows + i, 0, h - 1), np.clip(columns + j, 0, w - 1)] - here
                 square = (other**2).sum(-1)
                 share = ((mean - here) * other).sum(-1) / np.where(square > 0, square, 1)
-                closer = (square > 0) & (share > most)
+                # More than all of it: a third colour, further away, is in the pixel.
+                closer = (square > 0) & (share > most) & (share <= 1)
                 change, most = (
                     np.where(closer[:, None], other, change),
                     np.where(closer, share, most),
                 )
         keep = most > LEAST_SHARE
-        return _Doubt(hard, rows[keep], columns[keep], change[keep])
+        return _Doubt(hard, rows[keep], columns[keep], change[keep], most[keep])
 
-    def settled(self, picture: Picture, model: Mitchell, z: np.ndarray, held: np.ndarray):
+    def settled(
+        self, picture: Picture, model: Mitchell, z: np.ndarray, free: np.ndarray, held: np.ndarray
+    ) -> np.ndarray:
         """The mask (h, w, c) with every pixel in doubt on the side that the residual asks for."""
         fitted = model.moved(jnp.asarray(z), jnp.asarray(held))
         residual = _residual(picture, model, z, held)
@@ -141,11 +149,36 @@ class _Doubt:
         noise = max(LEAST_NOISE, 1.5 * float(np.median(np.abs(residual))))
         gram = (streaks.T @ streaks).toarray() * (self.change @ self.change.T)
         pull = ((streaks.T @ residual) * self.change).sum(-1)
+        # The other parameters give way: what they can explain is no streak.
+        slopes = self._slopes(picture, model, z, free, held) * seen[..., None]
+        cross = np.einsum("kcp,kc->kp", self._gather(streaks, slopes), self.change)
+        inner = np.einsum("mcp,mcq->pq", slopes, slopes)
+        give = np.linalg.lstsq(inner, cross.T, rcond=1e-6)[0]
+        gram -= cross @ give
+        pull -= np.einsum("mcp,mc->p", slopes, residual) @ give
         # Before it is looked at, a pixel has not fallen, give or take one half.
-        fallen = np.linalg.solve(gram + 4 * noise**2 * np.eye(len(pull)), pull) > 0.5
+        part = np.linalg.solve(gram + 4 * noise**2 * np.eye(len(pull)), pull)
+        evidence = (2 * part - 1) * np.diag(gram) / (2 * noise**2)
+        fallen = evidence > RARE + (1 - 2 * self.share) / (2 * TOLERANCE)
         mask = self.hard.copy()
         mask[self.rows, self.columns] += fallen[:, None] * self.change
         return mask
+
+    @staticmethod
+    def _gather(streaks: sparse.csr_array, slopes: np.ndarray) -> np.ndarray:
+        """(k, c, p) inner products of every streak with every slope."""
+        flat = streaks.T @ slopes.reshape(len(slopes), -1)
+        return flat.reshape(-1, *slopes.shape[1:])
+
+    def _slopes(
+        self, picture: Picture, model: Mitchell, z: np.ndarray, free: np.ndarray, held: np.ndarray
+    ) -> np.ndarray:
+        """(h w, c, p) derivatives of the light pass's pixels by the free coordinates, scaled."""
+        everywhere = picture.observe(np.arange(picture.size[0] * picture.size[1]))
+        slopes = np.asarray(linearise(z, held, scales(z), model, everywhere)[1])[:, free]
+        slopes = slopes.reshape(*picture.size, -1)
+        slopes = shrink(slopes, self.hard.shape[:2])
+        return slopes.reshape(-1, picture.channels, int(free.sum())).astype(np.float64)
 
     def _streaks(self, model: Mitchell) -> sparse.csr_array:
         """(h w, k) levels that each pixel of the light pass gains with a unit of each texel."""

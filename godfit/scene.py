@@ -156,8 +156,8 @@ def read_scene(path: str | Path) -> Scene:
     scene = Scene(
         Camera(
             _array(camera.three("position")),
-            _array(camera.three("target", [0, 0, 0])),
-            _array(camera.three("up", [0, 1, 0])),
+            _array(camera.three("target", [0.0, 0.0, 0.0])),
+            _array(camera.three("up", [0.0, 1.0, 0.0])),
             _array(camera.number("fov_y", 75.0, above=0.0, below=180.0)),
             camera.number("near", 0.1, above=0.0),
             camera.number("far", 2000.0, above=0.0),
@@ -205,8 +205,8 @@ def _object(table: _Table) -> tuple[Object, tuple[str, ...]]:
         _array(shape.vertices),
         jnp.asarray(shape.faces),
         jnp.asarray(mesh.edges(shape.faces)),
-        _array(table.three("position", [0, 0, 0])),
-        _array(table.three("rotation", [0, 0, 0])),
+        _array(table.three("position", [0.0, 0.0, 0.0])),
+        _array(table.three("rotation", [0.0, 0.0, 0.0])),
         _array(table.number("scale", 1.0, above=0.0)),
         table.colour("colour", "#000000"),
     )
