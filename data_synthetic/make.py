@@ -1,6 +1,9 @@
 """Draws the synthetic targets: masks by formula, true parameters, and the pictures they make.
 
     python data_synthetic/make.py [FOLDER]
+    python data_synthetic/make.py --gif FILE flight
+
+Masks of scenes (stages.py) are the rasteriser's; with --gif a moving scene becomes an animation.
 
 A mask is rounded to bytes before anything is rendered from it, so that the parameters in the table
 below are exactly the picture's. Pictures are rendered by the reference sum in float64 and rounded
@@ -9,19 +12,25 @@ once. ``x.toml`` tells the command line about ``x.png``; manifest.json holds the
 
 from __future__ import annotations
 
+import argparse
 import json
-import sys
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import equinox as eqx
+import imageio.v3
 import jax
 import jax.numpy as jnp
 import numpy as np
+from stages import FRAMES, SEQUENCES, STAGES, Stage
 
 from godfit.image import atomic_write, write_image
+from godfit.inputs import drawn, place_of
 from godfit.models import Mitchell
 from godfit.parameters import light_parameters
 from godfit.radial.reference import bilinear
+from godfit.scene import Scene, read_scene
 
 GOLDEN = (5**0.5 - 1) / 2  # its multiples, modulo 1, look scattered without being random
 
@@ -308,6 +317,67 @@ def enlarge(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return np.asarray(bilinear(jnp.asarray(image), *map(jnp.asarray, np.meshgrid(x, y))))
 
 
+def rendered(model: Mitchell, mask: np.ndarray, background=None) -> np.ndarray:
+    """The picture by the reference sum, in float64."""
+    # Compiled as one: op by op takes twice as long.
+    image = np.asarray(eqx.filter_jit(model)(jnp.asarray(mask), background, method="reference"))
+    if image.dtype != np.float64:
+        raise RuntimeError("jax: expected 64-bit floats; set jax_enable_x64")
+    return image
+
+
+def stages() -> Iterator[tuple[str, Stage, dict[str, float]]]:
+    """All scenes kept: a name, the scene, and the update where it moves."""
+    for name, stage in STAGES.items():
+        yield f"stage_{name}", stage(), {}
+    for name, (stage, _, first, step) in SEQUENCES.items():
+        for i in range(FRAMES):
+            update = first + i * step
+            yield f"{name}_{i}", stage(update), {"update": update}
+
+
+def render_stage(path: Path, stage: Stage) -> tuple[Scene, np.ndarray, np.ndarray]:
+    """Write the scene file; the scene as read from it, its mask and its picture."""
+    atomic_write(path, stage.text().encode())
+    scene = read_scene(path)
+    mask = to_bytes(drawn(scene, stage.antialias).astype(np.float64))
+    light = [tuple(place_of(scene).values())]
+    model = Mitchell(**stage.params, light=light, shader=stage.shader, samples=stage.samples)
+    return scene, mask, rendered(model, mask)
+
+
+def make_stage(folder: Path, name: str, stage: Stage) -> dict:
+    """Write the scene ``name``, its mask, target and side file; its truth."""
+    files = {"target": f"{name}.png", "mask": f"{name}_mask.png", "scene": f"{name}.scene.toml"}
+    scene, mask, image = render_stage(folder / files["scene"], stage)
+    write_image(folder / files["mask"], mask)
+    write_image(folder / files["target"], image)
+    settings = {"shader": stage.shader, "samples": stage.samples}
+    beside = f'scene = "{files["scene"]}"\n\n[scattering]\nshader = "{stage.shader}"\n'
+    atomic_write(folder / f"{name}.toml", f"{beside}samples = {stage.samples}\n".encode())
+    place = {key: round(value, 9) for key, value in place_of(scene).items()}
+    names = ("camera.position", "light.position", "light.radius", *stage.known)
+    known = {key: np.asarray(scene.value(key)).tolist() for key in names}
+    return files | settings | {"params": stage.params | place, "known": known, "note": stage.note}
+
+
+def make_gif(file: Path, name: str, frames: int = 48) -> None:
+    """Write one lap of the moving scene ``name`` as an animation, twice its size; needs x64."""
+    stage, lap, *_ = SEQUENCES[name]
+    pictures = []
+    with tempfile.TemporaryDirectory() as folder:
+        for i in range(frames):
+            *_, image = render_stage(Path(folder) / "scene.toml", stage(lap * i / frames))
+            height, width = image.shape
+            image = enlarge(to_bytes(image), (2 * height, 2 * width))
+            pictures.append(np.rint(image * 255).astype(np.uint8))
+    duration = 4000 / frames  # in milliseconds, of one frame
+    data = imageio.v3.imwrite("<bytes>", np.stack(pictures), extension=".gif", plugin="pillow",
+                              mode="L", is_batch=True, duration=duration, loop=0)  # fmt: skip
+    assert data is not None
+    atomic_write(file, data)
+
+
 def make(folder: Path) -> None:
     """Write every target, its mask, its side file and the manifest to ``folder``; needs x64."""
     truths = {}
@@ -323,11 +393,8 @@ def make(folder: Path) -> None:
             background = jnp.asarray(background)
 
         known = _mitchell(1.0, 1.0, 1.0, 1.0) | four
-        model = Mitchell(**known, light=lights, shader=shader, samples=samples)
-        # Compiled as one: op by op takes twice as long.
-        image = np.asarray(eqx.filter_jit(model)(jnp.asarray(mask), background, method="reference"))
-        if image.dtype != np.float64:
-            raise RuntimeError("jax: expected 64-bit floats; set jax_enable_x64")
+        image = rendered(Mitchell(**known, light=lights, shader=shader, samples=samples), mask,
+                         background)  # fmt: skip
         if mask.shape[:2] != size:
             image = enlarge(to_bytes(image), size)
         write_image(folder / files["target"], image)
@@ -340,10 +407,26 @@ def make(folder: Path) -> None:
         params = four | dict(zip(where, sum(lights, ()), strict=True))
         truth = {"shader": shader, "samples": samples, "params": params, "note": note}
         truths[name] = files | truth
-    text = json.dumps({"schema": 1, "targets": truths}, indent=1) + "\n"
+    scenes = {name: make_stage(folder, name, stage) | at for name, stage, at in stages()}
+    text = json.dumps({"schema": 1, "targets": truths, "scenes": scenes}, indent=1) + "\n"
     atomic_write(folder / "manifest.json", text.encode())
 
 
-if __name__ == "__main__":
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Draw the synthetic targets.")
+    parser.add_argument("folder", nargs="?", type=Path, default=Path(__file__).parent)
+    parser.add_argument("--gif", nargs=2, metavar=("FILE", "NAME"),
+                        help=f"write one of {', '.join(SEQUENCES)} as an animation")  # fmt: skip
+    given = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    make(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent)
+    if given.gif is None:
+        make(given.folder)
+        return
+    file, name = given.gif
+    if name not in SEQUENCES:
+        parser.error(f"--gif: expected one of {', '.join(SEQUENCES)}, got '{name}'")
+    make_gif(Path(file), name)
+
+
+if __name__ == "__main__":
+    main()

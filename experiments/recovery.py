@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import time
 
+import jax
 import numpy as np
 import scenes
 
@@ -30,6 +31,9 @@ def attempt(seed: int, kind: str, noise: float):
     began = time.perf_counter()
     result = fit(target, mask=mask, shader="dawntime", samples=int(truth["samples"]))
     seconds = time.perf_counter() - began
+    # Every number of samples is a program of its own: a hundred of them exhaust what memory maps a
+    # process may have.
+    jax.clear_caches()
     scores = np.full(len(NAMES), np.nan)
     missed = []
     for i, name in enumerate(NAMES):

@@ -193,8 +193,8 @@ def staged(model: Mitchell, scene: Scene, names: Sequence[str]) -> Staged:
 
 
 def drawn(scene: Scene, antialias: bool) -> np.ndarray:
-    """The scene's mask, (h, w) or (h, w, 3) float32."""
-    return np.asarray(_rasterised(scene, antialias), np.float32)
+    """The scene's mask in the bytes that a light pass reads, (h, w) or (h, w, 3) float32."""
+    return np.round(255 * np.asarray(_rasterised(scene, antialias))).astype(np.float32) / 255
 
 
 @eqx.filter_jit

@@ -13,6 +13,7 @@ touches it, drawn as a polygon of equal area with OUTLINE corners; inside and de
 from __future__ import annotations
 
 import functools
+import itertools
 import threading
 from typing import NamedTuple
 
@@ -95,28 +96,38 @@ def coverage(scene: Scene) -> Float[Array, "h w colours"]:
     view = _view(scene)
     shape = (
         jax.ShapeDtypeStruct((height, width, len(colours)), dtype),
+        jax.ShapeDtypeStruct((), jnp.int32),
         jax.ShapeDtypeStruct((room,), jnp.int32),
         jax.ShapeDtypeStruct((room, 4), jnp.int32),
         jax.ShapeDtypeStruct((room, len(colours), 4), dtype),
     )
-    share, pixel, made_of, weight = jax.pure_callback(
+    share, count, *fragments = jax.pure_callback(
         functools.partial(_contours, scene.size, scene.camera.near, scene.camera.far, colour_of),
         shape,
         *jax.lax.stop_gradient(view),
         vmap_method="sequential",
     )
-    ends = jnp.concatenate(
-        [_screen(scene, view, made_of[:, k], made_of[:, k + 1]) for k in (0, 2)], -1
-    )
-    # Zero, with the derivative of the contour.
-    moved = jnp.einsum("fck,fk->fc", weight, ends - jax.lax.stop_gradient(ends))
-    return share.reshape(-1, len(colours)).at[pixel].add(moved).reshape(share.shape)
+    share = share.reshape(-1, len(colours))
+
+    def follow(size: int, share, view):
+        """Zero is added, with the derivative of the first ``size`` fragments."""
+        pixel, made_of, weight = (z[:size] for z in fragments)
+        ends = [_screen(scene, view, made_of[:, k], made_of[:, k + 1]) for k in (0, 2)]
+        ends = jnp.concatenate(ends, -1)
+        moved = jnp.einsum("fck,fk->fc", weight, ends - jax.lax.stop_gradient(ends))
+        return share.at[pixel].add(moved)
+
+    # Most pictures have few: three sizes of one program, so that these do not pay for all.
+    sizes = (room // 32, room // 8, room)
+    which = (count > sizes[0]).astype(jnp.int32) + (count > sizes[1])
+    share = jax.lax.switch(which, [functools.partial(follow, n) for n in sizes], share, view)
+    return share.reshape(height, width, len(colours))
 
 
 def on_screen(scene: Scene) -> Float[Array, "2"]:
     """Texture coordinates (u, v) of the light's centre, on the screen or off it. The light must lie
     before the camera: the rays of one behind it would be mirrored."""
-    x, y, z = _rotation(scene) @ (scene.light.position - scene.camera.position)
+    x, y, z = scene.camera_axes() @ (scene.light.position - scene.camera.position)
     focal = _focal(scene)
     aspect = scene.size[1] / scene.size[0]
     return jnp.stack([0.5 + 0.5 * focal / aspect * x / -z, 0.5 + 0.5 * focal * y / -z])
@@ -143,18 +154,8 @@ def _focal(scene: Scene) -> Float[Array, ""]:
     return 1 / jnp.tan(jnp.deg2rad(scene.camera.fov_y) / 2)
 
 
-def _rotation(scene: Scene) -> Float[Array, "3 3"]:
-    """World to camera, rows right, up and back: three.js's lookAt."""
-    camera = scene.camera
-    back = camera.position - camera.target
-    back = back / jnp.linalg.norm(back)
-    right = jnp.cross(camera.up, back)
-    right = right / jnp.linalg.norm(right)
-    return jnp.stack([right, jnp.cross(back, right), back])
-
-
 def _view(scene: Scene) -> _View:
-    turn = _rotation(scene)
+    turn = scene.camera_axes()
 
     def seen(points):
         return (points - scene.camera.position[None]) @ turn.T
@@ -281,28 +282,39 @@ def _contours(size, near, far, colour_of, *view):
     weight = np.zeros((room, max(colour_of) + 1, 4), dtype)
     pixel[:count], made_of[:count] = found.pixel, candidates.made_of[found.edge]
     weight[:count] = found.weight
-    return found.share.astype(dtype), pixel, made_of, weight
+    return found.share.astype(dtype), np.int32(count), pixel, made_of, weight
 
 
 def _may_cross(vertices, faces, face_label, colours, centre, radius) -> bool:
     """Whether surfaces of different colours may pass through each other: a triangle the light's
     sphere, or two objects whose boxes overlap."""
-    used = np.unique(face_label)
-    for i in used[colours[used] != colours[1]]:
-        corners = vertices[faces[face_label == i]]
-        far = np.linalg.norm(corners - centre, axis=-1)
-        size = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).max(-1)
-        if ((far.min(-1) - size < radius) & (far.max(-1) > radius)).any():
-            return True
     boxes = {}
-    for i in used:
-        corners = vertices[faces[face_label == i]].reshape(-1, 3)
-        boxes[i] = corners.min(0), corners.max(0)
+    for i in np.unique(face_label):
+        corners = vertices[faces[face_label == i]]
+        near, far = _distances(corners - centre)
+        if colours[i] != colours[1] and ((near < radius) & (far > radius)).any():
+            return True
+        boxes[i] = corners.min((0, 1)), corners.max((0, 1))
     return any(
         colours[i] != colours[j]
         and (boxes[i][0] < boxes[j][1]).all()
         and (boxes[j][0] < boxes[i][1]).all()
-        for i in used
-        for j in used
-        if i < j
+        for i, j in itertools.combinations(boxes, 2)
     )
+
+
+def _distances(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest distance of triangles (t, 3, 3) from the origin."""
+    far = np.linalg.norm(corners, axis=-1)
+    near = far.min(1)
+    a, b, c = np.moveaxis(corners, 1, 0)
+    normal = np.cross(b - a, c - a)
+    above = np.ones(len(corners), bool)
+    for p, q in ((a, b), (b, c), (c, a)):
+        edge = q - p
+        along = -(p * edge).sum(-1) / np.maximum((edge**2).sum(-1), 1e-300)
+        foot = p + along.clip(0, 1)[:, None] * edge
+        near = np.minimum(near, np.linalg.norm(foot, axis=-1))
+        above &= (np.cross(edge, -p) * normal).sum(-1) >= 0
+    height = np.abs((a * normal).sum(-1)) / np.maximum(np.linalg.norm(normal, axis=-1), 1e-300)
+    return np.where(above, height, near), far.max(1)

@@ -115,6 +115,15 @@ class Scene(eqx.Module):
         paths = [self._path(name) for name in values]
         return eqx.tree_at(lambda s: [_find(s, p) for p in paths], self, list(values.values()))
 
+    def camera_axes(self) -> Float[Array, "3 3"]:
+        """World to camera, rows right, up and back: three.js's lookAt."""
+        camera = self.camera
+        back = camera.position - camera.target
+        back = back / jnp.linalg.norm(back)
+        right = jnp.cross(camera.up, back)
+        right = right / jnp.linalg.norm(right)
+        return jnp.stack([right, jnp.cross(back, right), back])
+
     def _path(self, name: str) -> tuple[str, int, str]:
         if name not in self.names:
             near = difflib.get_close_matches(name, self.names, n=1, cutoff=0.0)[0]

@@ -17,17 +17,21 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from godfit.models import AbstractModel, Mitchell, Vector
-from godfit.observation import Picture
+from godfit.observation import Observation, Picture
 from godfit.parameters import SCATTERING, Parameter
 from godfit.raster import on_screen, rasterise
 from godfit.scene import Scene
 from godfit.screen import starts
-from godfit.solver import solve
+from godfit.search import PIXELS
+from godfit.solver import Point, solve
 
-# Longest side of the copies on which geometry is looked for, starts kept, sigma in levels.
-LADDER = ((64, 4, 4.0), (128, 2, 2.0), (256, 1, 1.0))
-# Placements tried at first, and how far (in picture heights) positions are moved in them.
-PLACEMENTS, REACH = 96, 0.15
+# Longest side of the copies on which geometry is looked for; taps, pixels and noise on the first.
+LADDER = (64, 128, 256)
+COARSE_SAMPLES, COARSE_PIXELS, SIGMA = 32, 1024, 4.0
+# Placements tried, how far (in picture heights) positions are moved in them, how many are followed
+# downhill, and how many must agree.
+PLACEMENTS, REACH, FOLLOWED, AGREE = 120, 0.15, 40, 2
+MAX_SOLVES = 6
 
 
 class Staged(AbstractModel):
@@ -139,6 +143,8 @@ class Staged(AbstractModel):
         """See ``Mitchell``. Of ``mask`` only the shape counts: the scene is drawn at that size."""
         scene = self.staged()
         drawn = rasterise(resized(scene, (mask.shape[0], mask.shape[1])))
+        # A light pass reads bytes; the derivative is that of the mask before they were rounded.
+        drawn = drawn + jax.lax.stop_gradient(jnp.round(255 * drawn) / 255 - drawn)
         lit = eqx.tree_at(lambda m: m.light, self.shading, on_screen(scene)[None])
         return lit(drawn, background, size=size, pixels=pixels, method=method)
 
@@ -182,45 +188,88 @@ def place(
     seed: int,
     report: Callable[[str], None],
 ) -> np.ndarray:
-    """Coordinates of a staged model near the best: placements drawn about the start are tried on a
-    small copy of the picture, the best are followed to larger copies."""
+    """Coordinates of a staged model near the best.
+
+    On a small copy of the picture, placements of the light and the objects drawn about the start,
+    across the view, are each given the scattering that suits them best; the best are followed
+    downhill, and what two of them agree on is followed to larger copies.
+    """
     side = max(picture.size)
-    coarse = picture.shrunk(-(-side // LADDER[0][0]))
-    movable = np.array(
-        [
-            name.endswith(("position", "target")) and not name.startswith("camera.position")
-            for name in model.free
-            for _ in range(model.scene.value(name).size)
-        ],
-        bool,
-    )
+    coarse = picture.shrunk(-(-side // LADDER[0]))
+    # Fewer taps serve a small picture: coordinates do not depend on their number.
+    few = min(model.samples, COARSE_SAMPLES)
+    shading = dataclasses.replace(model.shading, samples=few)
+    rough = Staged(shading, model.scene, model.free)
+    seen = coarse.observe(coarse.informative(COARSE_PIXELS, seed))
+    blocks = _movable(model, held)
+    across = np.asarray(model.scene.camera_axes()[:2])
     rng = np.random.default_rng(seed)
-    tries = PLACEMENTS if movable.any() else 1
-    report(f"{tries} placements")
-    begun = []
-    for trial in range(tries):
-        offsets = np.where(movable & (trial > 0), rng.uniform(-REACH, REACH, movable.size), 0.0)
-        offsets = np.where(np.isnan(held[4:]), offsets, 0.0).astype(np.float32)
+    report(f"{PLACEMENTS if blocks else 1} placements")
+    found: list[tuple[float, np.ndarray]] = []
+    for trial in range(PLACEMENTS if blocks else 1):
+        offsets = np.zeros(len(model.offsets), np.float32)
+        for block in blocks if trial else []:
+            offsets[block] = rng.uniform(-REACH, REACH, 2) @ across
         stage = eqx.tree_at(lambda m: m.offsets, model, jnp.asarray(offsets))
         drawn, light = _drawn(stage, coarse.mask.shape[:2])
-        seen_from = dataclasses.replace(coarse, mask=np.asarray(drawn))
         known = given | {"light_x": float(light[0]), "light_y": float(light[1])}
-        found = starts(seen_from, model.shading, known, keep=2, seed=seed)
-        begun += [np.concatenate([z[:4], offsets]) for z in found]
-    for side_now, keep, sigma in LADDER:
+        by = dataclasses.replace(coarse, mask=np.asarray(drawn))
+        for z in starts(by, rough.shading, known, keep=2, seed=seed):
+            z = np.concatenate([z[:4], offsets])
+            found.append((_cost(z, held, rough, seen), z))
+    found.sort(key=lambda f: f[0])
+    report(f"downhill from {min(FOLLOWED, len(found))} placements")
+    points: list[Point] = []
+    for _, z in found[:FOLLOWED]:
+        point = _descend(z, free, held, rough, seen, SIGMA)
+        if any(np.abs(point.coordinates[4:][block]).max() > 2 * REACH for block in blocks):
+            # An object that has left the picture is no answer: nothing calls it back.
+            continue
+        points.append(point)
+        points.sort(key=lambda p: p.cost)
+        if len(points) >= AGREE and points[AGREE - 1].cost < 1.02 * points[0].cost:
+            break
+    z = points[0].coordinates if points else found[0][1]
+    for side_now in LADDER[1:]:
         factor = -(-side // side_now)
         small = picture.shrunk(factor)
-        seen = small.observe(np.flatnonzero(small.valid))
-        if side_now == LADDER[0][0]:
-            costs = [_cost(z, held, model, seen) for z in begun]
-            begun = [begun[i] for i in np.argsort(costs)[: 2 * keep]]
-        report(f"{len(begun)} placements at {small.size[1]}x{small.size[0]} pixels")
-        points = [solve(z, free, held, model, seen, sigma, bounded=False) for z in begun]
-        points.sort(key=lambda p: p.cost)
-        begun = [p.coordinates for p in points[:keep]]
+        report(f"{small.size[1]}x{small.size[0]} pixels")
+        pixels = small.informative(PIXELS, seed)
+        z = _descend(z, free, held, model, small.observe(pixels), SIGMA / 4).coordinates
         if factor == 1:
             break
-    return begun[0]
+    lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
+    return np.clip(z, lower, upper)
+
+
+def _descend(
+    z: np.ndarray,
+    free: np.ndarray,
+    held: np.ndarray,
+    model: Staged,
+    seen: Observation,
+    sigma: float,
+) -> Point:
+    """Solve until it makes no more headway: valleys of depth and size are long and bent."""
+    point = solve(z, free, held, model, seen, sigma, bounded=False)
+    for _ in range(MAX_SOLVES):
+        before = point.cost
+        point = solve(point.coordinates, free, held, model, seen, sigma, bounded=False)
+        if not point.cost < 0.98 * before:
+            break
+    return point
+
+
+def _movable(model: Staged, held: np.ndarray) -> list[slice]:
+    """The offsets of every free position but the camera's, the light's first."""
+    blocks, at = [], 0
+    for name in model.free:
+        size = model.scene.value(name).size
+        loose = np.isnan(held[4 + at : 4 + at + size]).all()
+        if loose and name.endswith("position") and not name.startswith("camera"):
+            blocks.append((name != "light.position", slice(at, at + size)))
+        at += size
+    return [block for _, block in sorted(blocks, key=lambda b: b[0])]
 
 
 @eqx.filter_jit

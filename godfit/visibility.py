@@ -616,7 +616,8 @@ def _cross(
 ):  # fmt: skip
     """A cell in which surfaces may pass through each other: its first and last colour, with the
     place where they change found by bisection."""
-    inset = 1e-4 * (end - begin)
+    # The light's outline is a polygon, a few thousandths of a pixel beside the sphere.
+    inset = min(0.25 * (end - begin), 0.01)
     a, b = begin + inset, end - inset
     one = colour_of[
         _seen_at(

@@ -18,6 +18,12 @@ def view(scene):
 
 def labels(scene, factor: int = 1) -> np.ndarray:
     """(h factor, w factor) labels of the nearest surface at the centres of the finer pixels."""
+    return nearest(scene, factor)[0]
+
+
+def nearest(scene, factor: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """(h factor, w factor) labels and depths of the nearest surface at the centres of the finer
+    pixels; the depth is infinite where nothing is."""
     height, width = (n * factor for n in scene.size)
     turn, position = view(scene)
     half = np.tan(np.deg2rad(float(scene.camera.fov_y)) / 2)
@@ -42,7 +48,9 @@ def labels(scene, factor: int = 1) -> np.ndarray:
     along = gx * centre[0] + gy * centre[1] - centre[2]
     inside = along**2 - length * (centre @ centre - float(scene.light.radius) ** 2)
     t = (along - np.sqrt(np.maximum(inside, 0))) / length
-    return np.where((inside > 0) & (t >= near) & (t < depth), 1, found)
+    lit = (inside > 0) & (t >= near) & (t < depth)
+    found, depth = np.where(lit, 1, found), np.where(lit, t, depth)
+    return found, np.where(found == 0, np.inf, depth)
 
 
 def _box(a, b, c, x, y, near):

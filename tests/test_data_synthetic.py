@@ -1,19 +1,34 @@
 """The committed synthetic targets are what data_synthetic/make.py draws."""
 
+import importlib
 import importlib.util
 import json
+import sys
 import tomllib
 from pathlib import Path
+from unittest import mock
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from PIL import Image, ImageSequence
 
 from godfit.image import read_image
+from godfit.inputs import drawn
+from godfit.models import Mitchell
+from godfit.raster import on_screen
+from godfit.scene import read_scene
+from godfit.sidecar import read_sidecar
+
+# What numba compiles cannot be wrapped by the hook of conftest.py.
+with mock.patch.object(sys, "meta_path", [f for f in sys.meta_path if not hasattr(f, "modules")]):
+    importlib.import_module("godfit.visibility")
 
 FOLDER = Path(__file__).parent.parent / "data_synthetic"
 MANIFEST = json.loads((FOLDER / "manifest.json").read_text())
-TARGETS = MANIFEST["targets"]
+TARGETS, SCENES = MANIFEST["targets"], MANIFEST["scenes"]
+SEQUENCES = ("icosahedra", "flight")
 COMMITTED = sorted(p.name for p in FOLDER.iterdir() if p.suffix in (".png", ".toml", ".json"))
 
 
@@ -22,10 +37,24 @@ def _levels(path):
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def make():
     spec = importlib.util.spec_from_file_location("data_synthetic_make", FOLDER / "make.py")
-    make = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(make)
+    module = importlib.util.module_from_spec(spec)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(FOLDER)
+        spec.loader.exec_module(module)
+        yield module
+
+
+@pytest.fixture(scope="module")
+def stages(make):
+    import stages
+
+    return stages
+
+
+@pytest.fixture(scope="module")
+def made(make, tmp_path_factory):
     folder = tmp_path_factory.mktemp("data_synthetic")
     with jax.enable_x64(True):
         make.make(folder)
@@ -50,9 +79,11 @@ def test_made_again_it_is_the_same(made, name):
 
 
 def test_manifest_names_every_file():
-    named = {"manifest.json"} | {f"{name}.toml" for name in TARGETS}
-    for truth in TARGETS.values():
-        named |= {truth[key] for key in ("target", "mask", "background") if key in truth}
+    everything = TARGETS | SCENES
+    assert len(everything) == len(TARGETS) + len(SCENES)
+    named = {"manifest.json"} | {f"{name}.toml" for name in everything}
+    for truth in everything.values():
+        named |= {truth[key] for key in ("target", "mask", "scene", "background") if key in truth}
     assert sorted(named) == COMMITTED
     assert MANIFEST["schema"] == 1
     assert len(TARGETS) >= 8
@@ -83,6 +114,128 @@ def test_what_the_notes_promise():
     assert _levels(FOLDER / "halfres_mask.png").shape == (128, 128)
     assert _levels(FOLDER / "coloured_mask.png").shape[2:] == (3,)
     assert TARGETS["decay_one"]["params"]["decay"] == TARGETS["decay_one"]["params"]["density"] == 1
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_scene_side_file_agrees_with_the_manifest(name):
+    truth = SCENES[name]
+    assert read_sidecar(str(FOLDER / truth["target"])) == {
+        "scene": str(FOLDER / truth["scene"]),
+        "shader": truth["shader"],
+        "samples": truth["samples"],
+    }
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_scene_has_the_truth_and_gives_mask_and_target(name):
+    truth = SCENES[name]
+    scene = read_scene(FOLDER / truth["scene"])
+    assert scene.notes == ()
+    assert scene.antialias is not None
+    settings = dict(truth["params"])
+    light = settings.pop("light_x"), settings.pop("light_y")
+    assert scene.settings == {key: truth[key] for key in ("shader", "samples")} | settings
+    np.testing.assert_allclose(on_screen(scene), light, atol=1e-8)
+    for key, value in truth["known"].items():
+        np.testing.assert_allclose(scene.value(key), value, atol=1e-9)
+
+    levels = _levels(FOLDER / truth["mask"])
+    mask = np.floor(drawn(scene, scene.antialias).astype(float) * 255 + 0.5).astype(int)
+    assert levels.shape == mask.shape
+    assert np.abs(levels - mask).max() <= 1
+    assert np.mean(levels != mask) < 1e-3
+    # Of a hard mask there are no values between those of the scene.
+    assert (len(np.unique(levels)) > 20) == scene.antialias
+
+    model = Mitchell(**settings, light=[light], shader=truth["shader"], samples=truth["samples"])
+    image = np.asarray(
+        jax.jit(lambda m: model(m, None, method="reference"))(jnp.asarray(levels / 255))
+    )
+    target = _levels(FOLDER / truth["target"])
+    apart = np.abs(np.floor(image.clip(0, 1) * 255 + 0.5) - target)
+    assert apart.max() <= 1
+    assert np.mean(apart > 0) < 1e-4
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_scene_shows_rays_and_is_not_clipped(name):
+    levels = _levels(FOLDER / SCENES[name]["target"])
+    assert np.mean(levels == 255) < 0.07
+    assert 10 < np.median(levels) < 80
+    assert len(np.unique(levels)) >= 100
+
+
+def test_scenes_are_not_all_alike():
+    assert {SCENES[name]["shader"] for name in SCENES} == {"dawntime", "vesper", "mitchell"}
+    stills = [name for name in SCENES if name.startswith("stage_")]
+    assert len({tuple(SCENES[name]["params"].values()) for name in stills}) == len(stills) == 5
+    icosahedra = SCENES["icosahedra_0"]["params"]
+    assert list(icosahedra.values())[:4] == [0.08, 0.975, 0.8, 0.6]
+    assert SCENES["stage_warehouse"]["params"]["exposure"] == 0.2
+    assert _levels(FOLDER / SCENES["stage_ship"]["mask"]).shape == (180, 320, 3)
+
+
+def test_icosahedron_moves_as_in_the_source():
+    for i in range(6):
+        truth = SCENES[f"icosahedra_{i}"]
+        a = 0.009 * truth["update"]
+        known, turn = truth["known"], np.rad2deg(truth["update"])
+        at = [4 * np.sin(a), 0, 4 * np.cos(a)]
+        np.testing.assert_allclose(known["object[0].position"], at, atol=1e-5)
+        np.testing.assert_allclose(
+            known["object[0].rotation"], [0.01 * turn, 0.005 * turn, 0], atol=1e-5
+        )
+
+
+def test_flight_is_closed_and_pursued(stages):
+    lap = stages.LAP
+    path = np.array([stages.path(k) for k in range(lap + 1)])
+    places, headings = stages.pursuit()
+    np.testing.assert_allclose(path[0], path[-1], atol=1e-12)
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    assert steps.max() < 4 * steps.min()
+
+    # The pursuer's path is closed as well, and it turns and moves by little at a time.
+    np.testing.assert_allclose(np.linalg.norm(headings, axis=1), 1)
+    moved = np.linalg.norm(np.roll(places, -1, axis=0) - places, axis=1)
+    turned = np.arccos(np.clip((np.roll(headings, -1, axis=0) * headings).sum(1), -1, 1))
+    assert moved.max() < 1.51 * steps.mean()
+    assert np.rad2deg(turned.max()) < 3.01
+    distance = np.linalg.norm(places - path[:-1], axis=1)
+    assert distance.min() > 0.4
+    assert distance.max() < 2
+
+
+def test_flight_truth_is_where_they_are(stages):
+    for i in range(6):
+        truth = SCENES[f"flight_{i}"]
+        leader, pursuer = (truth["known"][f"object[{k}].position"] for k in (0, 5))
+        np.testing.assert_allclose(leader, stages.path(truth["update"]), atol=1e-5)
+        np.testing.assert_allclose(pursuer, stages.pursuit()[0][truth["update"]], atol=1e-5)
+
+
+@pytest.mark.parametrize("turn", [(10, 20, 30), (-170, 60, 5), (20, 90, 0), (0, -90, 35)])
+def test_angles_are_those_of_the_matrix(stages, turn):
+    matrix = stages.matrix(turn)
+    np.testing.assert_allclose(stages.matrix(stages.angles(matrix)), matrix, atol=1e-7)
+
+
+@pytest.mark.parametrize("end", [(0, 1, 0), (2, -1, 0.5), (-1, 0, 0), (0, 0, 3)])
+def test_strut_ends_where_it_should(stages, end):
+    part = stages.strut(0.1, (0, 0, 0), end)
+    tip = part["position"] + stages.matrix(part["rotation"]) @ [0, part["height"] / 2, 0]
+    np.testing.assert_allclose(tip, end, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", SEQUENCES)
+def test_animation(make, tmp_path, name):
+    make.make_gif(tmp_path / "x.gif", name, frames=5)
+    with Image.open(tmp_path / "x.gif") as animation:
+        assert animation.info["loop"] == 0
+        assert animation.info["duration"] == 800
+        frames = [np.asarray(frame.convert("L")) for frame in ImageSequence.Iterator(animation)]
+    assert np.shape(frames) == (5, 256, 256)
+    assert all((a != b).any() for a, b in zip(frames[1:], frames, strict=False))
 
 
 def test_the_folder_is_small():

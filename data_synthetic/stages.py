@@ -1,0 +1,383 @@
+"""The scenes of the source projects, rebuilt from primitives: what make.py draws with the program's
+own rasteriser.
+
+Conventions are those of scene files. A thing is a list of parts, each an [[object]]; ``placed``
+moves it as a whole.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+Part = dict[str, Any]
+Three = tuple[float, float, float]
+
+
+@dataclass
+class Stage:
+    """A scene and what its target is rendered with. ``size`` is (height, width); ``known`` names
+    what manifest.json tells of the scene beside light and camera."""
+
+    parts: list[Part]
+    camera: Three
+    light: Three
+    radius: float
+    clear: str
+    shader: str
+    samples: int
+    params: dict[str, float]
+    note: str
+    size: tuple[int, int] = (256, 256)
+    antialias: bool = True
+    known: tuple[str, ...] = ()
+
+    def text(self) -> str:
+        """The scene file."""
+        height, width = self.size
+        tables = [
+            ("[image]", {"width": width, "height": height, "antialias": self.antialias}),
+            ("[camera]", {"position": self.camera, "fov_y": 75, "near": 0.1, "far": 350}),
+            ("[light]", {"position": self.light, "radius": self.radius}),
+            ("[background]", {"colour": self.clear}),
+            *(("[[object]]", part) for part in self.parts),
+            ("[scattering]", {"shader": self.shader, "samples": self.samples} | self.params),
+        ]
+        return "\n".join(
+            f"{head}\n" + "".join(f"{key} = {_toml(value)}\n" for key, value in table.items())
+            for head, table in tables
+        )
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(_toml, value))}]"
+    return f"{round(value, 5) + 0:.10g}"
+
+
+def box(x: float, y: float, z: float, *, at: Three, turn: Three = (0, 0, 0)) -> Part:
+    return _part("box", at, turn, size=[x, y, z])
+
+
+def ball(radius: float, *, at: Three, turn: Three = (0, 0, 0), subdivisions: int = 3) -> Part:
+    return _part("icosphere", at, turn, radius=radius, subdivisions=subdivisions)
+
+
+def rod(
+    radius: float, height: float, *, at: Three, turn: Three = (0, 0, 0), segments: int = 32
+) -> Part:
+    """A cylinder along y."""
+    return _part("cylinder", at, turn, radius=radius, height=height, segments=segments)
+
+
+def ring(radius: float, tube: float, *, at: Three, turn: Three = (0, 0, 0)) -> Part:
+    """A torus about z."""
+    return _part("torus", at, turn, radius=radius, tube=tube)
+
+
+def floor(width: float, depth: float, *, at: Three) -> Part:
+    return _part("plane", at, (-90, 0, 0), width=width, height=depth)
+
+
+def _part(primitive: str, at: Three, turn: Three, **sizes: Any) -> Part:
+    return {"primitive": primitive, **sizes, "position": at, "rotation": turn}
+
+
+def strut(radius: float, start: Three, end: Three) -> Part:
+    """A thin cylinder from here to there."""
+    along = np.subtract(end, start)
+    x, y, z = along / np.linalg.norm(along)
+    # Rx Ry Rz takes y to (-sin c, cos a cos c, sin a cos c), with b = 0.
+    turn = np.rad2deg([np.arctan2(z, y), 0, np.arctan2(-x, np.hypot(y, z))])
+    middle = np.add(start, end) / 2
+    return rod(
+        radius,
+        float(np.linalg.norm(along)),
+        at=tuple(middle.tolist()),
+        turn=tuple(turn.tolist()),
+        segments=12,
+    )
+
+
+def matrix(turn: Three) -> np.ndarray:
+    """Rx Ry Rz of angles in degrees."""
+    found = np.eye(3)
+    for angle, i, j in zip(np.deg2rad(turn), (1, 2, 0), (2, 0, 1), strict=True):
+        one = np.eye(3)
+        one[[i, j, i, j], [i, j, j, i]] = (
+            np.cos(angle),
+            np.cos(angle),
+            -np.sin(angle),
+            np.sin(angle),
+        )
+        found = found @ one
+    return found
+
+
+def angles(turn: np.ndarray) -> Three:
+    """The angles of a matrix, as three.js finds them."""
+    y = np.arcsin(np.clip(turn[0, 2], -1, 1))
+    if abs(turn[0, 2]) < 0.9999999:
+        x, z = np.arctan2(-turn[1, 2], turn[2, 2]), np.arctan2(-turn[0, 1], turn[0, 0])
+    else:
+        x, z = np.arctan2(turn[2, 1], turn[1, 1]), 0.0
+    x, y, z = np.rad2deg([x, y, z]).tolist()
+    return x, y, z
+
+
+def placed(
+    parts: Iterable[Part], at: Three, turn: Three | np.ndarray = (0, 0, 0), scale: float = 1.0
+) -> list[Part]:
+    """The parts as one body, scaled, turned and moved."""
+    whole = turn if isinstance(turn, np.ndarray) else matrix(turn)
+    return [
+        part
+        | {
+            "position": (np.array(at) + scale * whole @ part["position"]).tolist(),
+            "rotation": angles(whole @ matrix(part["rotation"])),
+            "scale": scale * part.get("scale", 1.0),
+        }
+        for part in parts
+    ]
+
+
+def _mitchell(*four: float) -> dict[str, float]:
+    return dict(zip(("exposure", "decay", "density", "weight"), four, strict=True))
+
+
+def skull() -> Stage:
+    """Cranium, rings for the sockets, and two rows of teeth."""
+    head = [
+        ball(0.86, at=(0, 0.86, -0.1)),
+        box(1.34, 0.16, 0.3, at=(0, 0.1, 0.1)),
+        box(0.1, 0.36, 0.2, at=(0, -0.12, 0.2)),
+        box(0.3, 0.08, 0.2, at=(0, -0.6, 0.2)),
+    ]
+    for side in (-1, 1):
+        head += [
+            ball(0.34, at=(0.6 * side, 0.36, -0.1)),
+            ring(0.27, 0.085, at=(0.34 * side, -0.16, 0.15)),
+            box(0.18, 0.42, 0.3, at=(0.66 * side, -0.22, 0), turn=(0, 0, 12 * side)),
+            box(0.42, 0.14, 0.2, at=(0.5 * side, -0.46, 0.1), turn=(0, 0, 24 * side)),
+            box(0.09, 0.34, 0.2, at=(0.15 * side, -0.43, 0.2), turn=(0, 0, 18 * side)),
+            box(0.16, 0.9, 0.2, at=(0.6 * side, -0.86, -0.1), turn=(0, 0, -14 * side)),
+        ]
+    for i in range(-3, 4):
+        head += [
+            box(0.09, 0.2, 0.1, at=(0.125 * i, -0.72, 0.3 - 0.015 * i * i), turn=(0, 0, 2 * i)),
+            box(0.085, 0.17, 0.1, at=(0.12 * i, -1.04, 0.3 - 0.015 * i * i), turn=(0, 0, -2 * i)),
+        ]
+    head += [
+        box(0.94, 0.12, 0.2, at=(0, -0.64, 0.1)),
+        box(0.92, 0.26, 0.3, at=(0, -1.22, 0.1)),
+    ]
+    return Stage(
+        placed(head, (0, 0.3, 2), (4, -6, 0), 1.35), (-0.04, -0.68, 6.97), (0, 0, 0), 1.15,
+        "#111111", "dawntime", 200, _mitchell(0.05, 0.99, 0.8, 0.8),
+        "A skull before the light, which shows through sockets, nose and teeth.", antialias=False,
+    )  # fmt: skip
+
+
+def ship() -> Stage:
+    """A hull with two spoked rings, engines and fins."""
+    hull = [
+        rod(0.26, 4.2, at=(0.1, 0, 0), turn=(0, 0, 90)),
+        ball(0.26, at=(-2, 0, 0)),
+        box(0.7, 0.24, 0.24, at=(-1.5, 0.28, 0)),
+        rod(0.4, 0.5, at=(1.5, 0, 0), turn=(0, 0, 90)),
+        box(0.9, 0.9, 0.06, at=(1.8, 0.6, 0), turn=(0, 0, -25)),
+        box(0.5, 0.05, 2.2, at=(1.8, 0, 0)),
+    ]
+    hull += [
+        rod(0.2, 0.9, at=(2.3, y, z), turn=(0, 0, 90)) for y in (-0.26, 0.26) for z in (-0.26, 0.26)
+    ]
+    for x, radius, count in ((-0.6, 1.25, 8), (0.5, 1.0, 6)):
+        hull.append(ring(radius, 0.11, at=(x, 0, 0), turn=(0, 90, 0)))
+        for angle in 2 * np.pi * (np.arange(count) + 0.2) / count:
+            rim = x, radius * float(np.cos(angle)), radius * float(np.sin(angle))
+            hull.append(strut(0.045, (x, 0, 0), rim))
+    return Stage(
+        placed(hull, (0.1, 0.05, 3), (14, 42, 5), 1.2), (0.4, 0.6, 7), (-0.1, 0.1, 0), 1.3,
+        "#0c1418", "vesper", 150, _mitchell(0.05, 0.99, 0.8, 0.8),
+        "A ship across the light: spokes and rings; the clear colour is not grey.",
+        size=(180, 320),
+    )  # fmt: skip
+
+
+def satellite() -> Stage:
+    """A slim body, four wings of solar cells, thin struts and a dish."""
+    craft = [
+        rod(1.5, 9, at=(0, 0, 0)),
+        box(3.4, 3, 3.4, at=(0, 5, 0)),
+        box(2.6, 2.4, 2.6, at=(0, -5, 0)),
+        ring(1.9, 0.25, at=(0, 8.6, 0), turn=(70, 20, 0)),
+        strut(0.16, (0, 6, 0), (0, 8.8, 0)),
+    ]
+    for side in (-1, 1):
+        for y in (-4.6, 4.6):
+            craft += [
+                box(2.3, 4.6, 0.2, at=(side * (6.2 + 2.75 * i), y, 0), turn=(18, 0, 0))
+                for i in range(4)
+            ]
+            for end in (-1.4, 1.4):
+                craft += [strut(0.16, (0, y * 0.9, 0), (5.2 * side, y + end, 0))]
+                craft += [strut(0.12, (5.2 * side, y + end, 0), (15.4 * side, y + end, 0))]
+    return Stage(
+        placed(craft, (0, 5, 75), (8, -18, -9), 1.7), (-10, 6, 110), (-8, 25, 0), 15,
+        "#1a1a1a", "dawntime", 200, _mitchell(0.05, 0.985, 0.85, 0.6),
+        "Solar cells and struts before a light away from the middle; clear colour #1a1a1a.",
+        size=(180, 320), antialias=False,
+    )  # fmt: skip
+
+
+def warehouse() -> Stage:
+    """A dark hall: a barred window, a beam, a lamp and crates."""
+    walls = [
+        box(3, 8, 0.2, at=(-3.2, 0, 0)),
+        box(3, 8, 0.2, at=(3.2, 0, 0)),
+        box(4, 3, 0.2, at=(0, 2.9, 0)),
+        box(4, 3, 0.2, at=(0, -2.5, 0)),
+        floor(12, 6, at=(0, -1.6, 3)),
+    ]
+    hall = [part | {"colour": "#030303"} for part in walls]
+    hall += [box(0.34 if i % 2 else 0.42, 3, 0.12, at=(0.56 * i, 0.2, 0)) for i in range(-3, 4)]
+    hall += [box(3.6, 0.32, 0.12, at=(0, y, 0)) for y in (-0.9, -0.28, 0.3, 0.86, 1.4)]
+    hall += [
+        box(0.8, 0.8, 0.8, at=(-1.15, -1.2, 0.9), turn=(0, 20, 0)),
+        box(0.6, 0.6, 0.6, at=(-1.05, -0.5, 0.9), turn=(0, -12, 0)),
+        box(0.9, 0.9, 0.9, at=(1.15, -1.15, 0.7), turn=(0, -30, 0)),
+        box(5, 0.13, 0.13, at=(0, 1.05, 0.6), turn=(0, 0, 13)),
+        rod(0.025, 1.6, at=(0.42, 1.25, 0.6)),
+        ball(0.2, at=(0.42, 0.42, 0.6)),
+    ]
+    return Stage(
+        hall, (0.35, -0.2, 3.4), (0.1, 0.2, -4), 1.25, "#0a0a0a", "dawntime", 200,
+        _mitchell(0.2, 0.99, 0.8, 0.8), "Light through window bars, at a high exposure.",
+    )  # fmt: skip
+
+
+def table() -> Stage:
+    """A table with things on it, before a low light."""
+    things = [
+        box(3.4, 0.14, 1.5, at=(0, 0, 0)),
+        *(rod(0.07, 1.5, at=(x, -0.8, z)) for x in (-1.55, 1.55) for z in (-0.6, 0.6)),
+        box(3.0, 0.05, 0.05, at=(0, -0.9, 0.6)),
+        ball(0.27, at=(-0.95, 0.34, 0.2)),
+        ring(0.3, 0.07, at=(0.5, 0.44, 0.1), turn=(0, 25, 0)),
+        rod(0.14, 0.55, at=(-0.3, 0.35, -0.1)),
+        rod(0.05, 0.4, at=(-0.3, 0.8, -0.1)),
+        box(0.6, 0.1, 0.45, at=(1.2, 0.12, 0), turn=(0, 20, 0)),
+        box(0.5, 0.09, 0.4, at=(1.2, 0.215, 0), turn=(0, -15, 0)),
+        rod(0.11, 0.24, at=(1.2, 0.38, 0)),
+        ring(0.08, 0.025, at=(1.35, 0.38, 0)),
+    ]
+    things = placed(things, (0, -0.3, 2.6), (0, 18, 0))
+    things.append(floor(9, 4, at=(0, -1.86, 2.6)) | {"colour": "#010101"})
+    return Stage(
+        things, (0.2, 0.25, 6.6), (-0.2, -0.5, -1), 1.35, "#0e0e0e", "mitchell", 100,
+        _mitchell(0.06, 0.97, 0.9, 0.7), "A table, and what stands on it, before a low light.",
+    )  # fmt: skip
+
+
+def icosahedra(update: float) -> Stage:
+    """One icosahedron goes round the light as in the source's updates, smaller ones further in."""
+    a, turn = 0.009 * update, np.rad2deg(update)
+    things = [ball(1, at=(4 * np.sin(a), 0, 4 * np.cos(a)), turn=(0.01 * turn, 0.005 * turn, 0))]
+    for k in range(1, 6):
+        b, height = a + np.pi * k / 3, 0.45 * np.sin(2.4 * k)
+        at = 2.7 * np.sin(b), height, 2.7 * np.cos(b)
+        things.append(ball(0.55, at=at, turn=(0.006 * turn, 40 * k, 0.012 * turn)))
+    known = [f"object[{i}].{key}" for i in range(6) for key in ("position", "rotation")]
+    return Stage(
+        [part | {"subdivisions": 0} for part in things], (0, 0, 8), (0, 0, 0), 1.5, "#080808",
+        "dawntime", 140, _mitchell(0.08, 0.975, 0.8, 0.6), "Icosahedra going round the light.",
+        size=(128, 128), known=tuple(known),
+    )  # fmt: skip
+
+
+LAP = 480  # updates in which the craft flies once round its path
+
+
+def path(update: float) -> np.ndarray:
+    """(3,) where the leading craft is: a closed path round the light, and through its gates."""
+    t = 2 * np.pi * update / LAP + 0.35
+    return np.array([1.9 * np.sin(t), 0.75 * np.sin(2 * t) + 0.15, 2.6 + 0.9 * np.cos(t + 0.6)])
+
+
+@functools.cache
+def pursuit() -> tuple[np.ndarray, np.ndarray]:
+    """(LAP, 3) places and headings of the craft that follows by steering: every update its heading
+    turns towards the other by a few degrees at most, and it is faster the further it lags. The
+    first laps are for settling; then every lap is the same."""
+    gap, most = 1.5, np.deg2rad(3.0)
+    pace = np.mean([np.linalg.norm(path(k + 1) - path(k)) for k in range(LAP)])
+    place, heading = path(-60), np.array([1.0, 0.0, 0.0])
+    places, headings = np.empty((2, LAP, 3))
+    for k in range(-4 * LAP, LAP):
+        if k >= 0:
+            places[k], headings[k] = place, heading
+        away = path(k) - place
+        distance = np.linalg.norm(away)
+        angle = np.arccos(np.clip(heading @ away / distance, -1, 1))
+        # Along the great circle from one direction to the other.
+        share = min(1.0, most / max(angle, 1e-9))
+        heading = (1 - share) * heading + share * away / distance
+        heading /= np.linalg.norm(heading)
+        place = place + pace * np.clip(distance / gap, 0.5, 1.5) * heading
+    return places, headings
+
+
+def craft(at: np.ndarray, heading: np.ndarray, size: float) -> list[Part]:
+    """A small craft; its nose is where it is heading."""
+    back = -heading / np.linalg.norm(heading)
+    right = np.cross([0, 1, 0], back)
+    right /= np.linalg.norm(right)
+    parts = [
+        rod(0.16, 1.5, at=(0, 0, 0), turn=(90, 0, 0), segments=16),
+        ball(0.16, at=(0, 0, -0.75), subdivisions=2),
+        box(1.7, 0.07, 0.42, at=(0, 0, 0.1)),
+        box(0.7, 0.06, 0.25, at=(0, 0, 0.68)),
+        box(0.07, 0.45, 0.3, at=(0, 0.25, 0.65)),
+    ]
+    turn = np.stack([right, np.cross(back, right), back], 1)
+    return placed(parts, (float(at[0]), float(at[1]), float(at[2])), turn, size)
+
+
+def flight(update: float) -> Stage:
+    """One craft on a closed path round the light, a second after it, and gates to fly through."""
+    k = int(update) % LAP
+    places, headings = pursuit()
+    parts = craft(path(k), path(k + 1) - path(k - 1), 0.85)
+    parts += craft(places[k], headings[k], 0.65)
+    for gate in (0.18, 0.7):
+        at, onwards = path(gate * LAP), path(gate * LAP + 1) - path(gate * LAP)
+        turn = (0.0, float(np.rad2deg(np.arctan2(onwards[0], onwards[2]))), 0.0)
+        parts += placed([ring(0.55, 0.06, at=(0, 0, 0))], (at[0], at[1], at[2]), turn)
+    for k in range(1, 12):  # rocks on a spiral
+        out, turn = 0.36 * k**0.5, 2.4 * k
+        at = (out * np.cos(turn), out * np.sin(turn), 1.2)
+        parts.append(ball(0.1 + 0.09 * (0.618 * k % 1), at=at, turn=(50 * k, 0, 0), subdivisions=1))
+    return Stage(
+        parts, (0.6, 0.7, 6.4), (0, 0, 0), 1.0, "#0c0c0c", "vesper", 150,
+        _mitchell(0.05, 0.982, 0.8, 0.7), "A craft on a closed path and one that pursues it.",
+        size=(128, 128), antialias=False, known=("object[0].position", "object[5].position"),
+    )  # fmt: skip
+
+
+STAGES: dict[str, Callable[[], Stage]] = {
+    "skull": skull, "ship": ship, "satellite": satellite, "warehouse": warehouse, "table": table,
+}  # fmt: skip
+# name: (the stage at an update, updates of a lap, of the first frame kept, and between two).
+SEQUENCES: dict[str, tuple[Callable[[float], Stage], float, int, int]] = {
+    "icosahedra": (icosahedra, 2 * np.pi / 0.009, 20, 60),
+    "flight": (flight, LAP, 10, LAP // 6),
+}
+FRAMES = 6
