@@ -6,7 +6,6 @@ import dataclasses
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -81,17 +80,15 @@ def fit(
     be fitted.
     """
     if (mask is None) == (scene is None):
-        raise InputError("fit: expected a mask or a scene, got " + ("both" if mask else "neither"))
-    if isinstance(scene, (str, os.PathLike)):
-        scene = read_scene(Path(scene))
-    settings = {} if scene is None else scene.settings
-    settings |= {
-        k: v
-        for k, v in {"shader": shader, "samples": samples, "pass_scale": pass_scale}.items()
-        if v is not None
-    }
+        got = "neither" if mask is None else "both"
+        raise InputError(f"fit: expected a mask or a scene, got {got}")
+    given = {"shader": shader, "samples": samples, "pass_scale": pass_scale}
     with jax.enable_x64(False):
         # The program is one of float32, whatever the caller has set.
+        if scene is not None:
+            scene = inputs.single(scene if isinstance(scene, Scene) else read_scene(scene))
+        settings = {} if scene is None else scene.settings
+        settings |= {k: v for k, v in given.items() if v is not None}
         return _fit(
             target, mask, background, scene, tuple(free), settings, lights, fix or {}, start or {},
             valid, transfer, seed, progress or (lambda text: None),

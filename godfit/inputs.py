@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from godfit.errors import InputError
@@ -157,6 +159,14 @@ def _check(model: AbstractModel, values: Mapping[str, float], option: str) -> No
             raise InputError(
                 f"{option}: expected {name} from {row.lower:g} to {row.upper:g}, got {value:g}"
             )
+
+
+def single(scene: Scene) -> Scene:
+    """The scene in float32."""
+    return jax.tree.map(
+        lambda z: jnp.asarray(np.asarray(z, np.float32 if z.dtype.kind == "f" else np.int32)),
+        scene,
+    )
 
 
 def scene_for(scene: Scene, target: Image, pass_scale: float) -> Scene:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import os
 import re
 import tomllib
 from collections.abc import Mapping
@@ -148,7 +149,7 @@ def _turn(angle: Float[Array, ""], i: int, j: int) -> Float[Array, "3 3"]:
     )
 
 
-def read_scene(path: str | Path) -> Scene:
+def read_scene(path: str | os.PathLike[str]) -> Scene:
     """Read a scene file; raises InputError naming the file, the key, what was expected and got."""
     path = Path(path)
     try:

@@ -2,6 +2,7 @@
 broadcasting between ranks, and with every annotation in godfit checked (jaxtyping, beartype)."""
 
 import os
+import sys
 
 os.environ["MPLBACKEND"] = "Agg"
 os.environ["GODFIT_CACHE"] = "off"
@@ -13,6 +14,13 @@ from jaxtyping import install_import_hook
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
+# What numba compiles cannot be wrapped: it is loaded first, and all else once more.
+import godfit.visibility  # noqa: E402
+
+compiled = sys.modules["godfit.visibility"]
+for name in [n for n in sys.modules if n.split(".")[0] == "godfit"]:
+    del sys.modules[name]
+sys.modules["godfit.visibility"] = compiled
 # Before any test module imports godfit: the hook rewrites modules as they are loaded.
 install_import_hook("godfit", "beartype.beartype")
 

@@ -66,6 +66,7 @@ def stage(*objects, light=(0.3, 0.2, -2), radius=0.5, eye=(0.1, 0.2, 5), fov_y=5
 
 BOX = {"size": [0.8, 1.3, 0.5]}
 TORUS = {"radius": 0.7, "tube": 0.25, "radial_segments": 7, "tubular_segments": 14}
+RING = {"radius": 0.7, "tube": 0.25, "radial_segments": 5, "tubular_segments": 6}
 # 0.3 of a pixel, at the distance of 5 and with 48 rows for 50 degrees.
 STRUT = {"radius": 0.015, "height": 3.0, "segments": 5}
 BALL = {"radius": 0.6, "subdivisions": 1}
@@ -91,7 +92,7 @@ SCENES = {
         thing("box", (0.5, 0.2, 1), (0, 20, 0), sizes=BOX, colour=0.3),
     ),
     "torus around the camera": stage(
-        thing("torus", (0.1, 0.2, 4.6), (75, 20, 0), sizes=TORUS | {"radial_segments": 5, "tubular_segments": 6}),
+        thing("torus", (0.1, 0.2, 4.6), (75, 20, 0), sizes=RING),
         thing("box", (0.4, 0.3, 0), (20, 30, 10), sizes=BOX, colour=0.3),
     ),
     "light partly hidden": stage(
