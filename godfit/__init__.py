@@ -12,7 +12,9 @@ if TYPE_CHECKING:
     from godfit.fitting import fit
     from godfit.models import Mitchell
     from godfit.radial import radial_sum
+    from godfit.raster import rasterise
     from godfit.result import Estimate, FitResult
+    from godfit.scene import Scene, read_scene
     from godfit.taps import CONVENTIONS, Taps
 
 __all__ = [
@@ -22,10 +24,13 @@ __all__ = [
     "Image",
     "InputError",
     "Mitchell",
+    "Scene",
     "Taps",
     "fit",
     "radial_sum",
+    "rasterise",
     "read_image",
+    "read_scene",
     "write_image",
 ]
 
@@ -34,9 +39,12 @@ _HOMES = {
     "Estimate": "godfit.result",
     "FitResult": "godfit.result",
     "Mitchell": "godfit.models",
+    "Scene": "godfit.scene",
     "Taps": "godfit.taps",
     "fit": "godfit.fitting",
     "radial_sum": "godfit.radial",
+    "rasterise": "godfit.raster",
+    "read_scene": "godfit.scene",
 }
 
 

@@ -53,27 +53,33 @@ def agreed(
         return picture
     point = climb(picture.small, model, begun, free, held, seed, lambda text: None)
     smooth = dataclasses.replace(picture, mask=inputs.drawn(scene, True))
-    z = point.coordinates
-    if not model.convention.box:
-        doubt = _Doubt.of(np.atleast_3d(picture.mask), np.atleast_3d(smooth.mask))
-        for _ in range(ROUNDS):
-            z = _off_streaks(picture, model, z, free, held, seed)
-            mask = doubt.settled(picture, model, z, free, held).reshape(picture.mask.shape)
-            if (mask == picture.mask).all():
-                break
-            picture = dataclasses.replace(picture, mask=mask)
+    z, _ = _off_streaks(picture, model, point.coordinates, free, held, seed)
     if scene.antialias is None:
-        soft = _off_streaks(smooth, model, point.coordinates, free, held, seed)
+        soft, _ = _off_streaks(smooth, model, point.coordinates, free, held, seed)
         if _miss(smooth, model, soft, held) < _miss(picture, model, z, held):
             return smooth
+    if model.convention.box:
+        return picture
+    doubt = _Doubt.of(np.atleast_3d(picture.mask), np.atleast_3d(smooth.mask))
+    for tried in range(ROUNDS):
+        z, like_most = _off_streaks(picture, model, z, free, held, seed)
+        if tried == 0:
+            trimmed = dataclasses.replace(picture, valid=picture.valid & like_most)
+            z = dips.on_subset(trimmed, model, z, free, held, seed, lambda text: None)[0]
+        mask = doubt.settled(picture, model, z, free, held).reshape(picture.mask.shape)
+        if (mask == picture.mask).all():
+            break
+        picture = dataclasses.replace(picture, mask=mask)
     return picture
 
 
 def _off_streaks(
     picture: Picture, model: Mitchell, z: np.ndarray, free: np.ndarray, held: np.ndarray, seed: int
-) -> np.ndarray:
-    """Coordinates from pixels that no streak crosses: those whose residual is like most."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates from pixels that no streak crosses, those whose residual is like most; and
+    (h, w) which these are."""
     pixels = picture.informative(PIXELS, seed)
+    like_most = picture.valid
     for _ in range(TRIMS):
         off = np.abs(_residual(picture, model, z, held)).max(-1)
         like_most = off <= max(4 * float(np.median(off.reshape(-1)[pixels])), 2 * LEAST_NOISE)
@@ -81,8 +87,7 @@ def _off_streaks(
         # As many as before, so that nothing is compiled anew.
         seen = picture.observe(np.sort(np.resize(kept, len(pixels))))
         z = solve(z, free, held, model, seen, LEAST_NOISE).coordinates
-    trimmed = dataclasses.replace(picture, valid=picture.valid & like_most)
-    return dips.on_subset(trimmed, model, z, free, held, seed, lambda text: None)[0]
+    return z, like_most
 
 
 def _residual(picture: Picture, model: Mitchell, z: np.ndarray, held: np.ndarray) -> np.ndarray:
@@ -93,7 +98,9 @@ def _residual(picture: Picture, model: Mitchell, z: np.ndarray, held: np.ndarray
 
 
 def _miss(picture: Picture, model: Mitchell, z: np.ndarray, held: np.ndarray) -> float:
-    return float((_residual(picture, model, z, held) ** 2).mean())
+    """How far off most pixels are, in levels: streaks are of the few."""
+    off = np.abs(_residual(picture, model, z, held))
+    return float(np.quantile(off[off > 0], 0.8)) if (off > 0).any() else 0.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

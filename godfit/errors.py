@@ -8,3 +8,9 @@ class InputError(ValueError):
 
     def __init__(self, message: object) -> None:
         super().__init__(" ".join(str(message).splitlines()))
+
+    @staticmethod
+    def within(error: Exception) -> InputError | None:
+        """The InputError that was raised inside compiled code and came out as another, if any."""
+        _, found, rest = str(error).partition("InputError: ")
+        return InputError(rest.splitlines()[0]) if found else None

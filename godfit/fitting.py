@@ -89,10 +89,13 @@ def fit(
             scene = inputs.single(scene if isinstance(scene, Scene) else read_scene(scene))
         settings = {} if scene is None else scene.settings
         settings |= {k: v for k, v in given.items() if v is not None}
-        return _fit(
-            target, mask, background, scene, tuple(free), settings, lights, fix or {}, start or {},
-            valid, transfer, seed, progress or (lambda text: None),
-        )  # fmt: skip
+        try:
+            return _fit(
+                target, mask, background, scene, tuple(free), settings, lights, fix or {},
+                start or {}, valid, transfer, seed, progress or (lambda text: None),
+            )  # fmt: skip
+        except jax.errors.JaxRuntimeError as error:
+            raise InputError.within(error) or error from error
 
 
 def _fit(

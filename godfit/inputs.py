@@ -204,7 +204,11 @@ def staged(model: Mitchell, scene: Scene, names: Sequence[str]) -> Staged:
 
 def drawn(scene: Scene, antialias: bool) -> np.ndarray:
     """The scene's mask in the bytes that a light pass reads, (h, w) or (h, w, 3) float32."""
-    return np.round(255 * np.asarray(_rasterised(scene, antialias))).astype(np.float32) / 255
+    try:
+        mask = np.asarray(_rasterised(scene, antialias))
+    except jax.errors.JaxRuntimeError as error:
+        raise InputError.within(error) or error from error
+    return np.round(255 * mask).astype(np.float32) / 255
 
 
 @eqx.filter_jit

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from godfit.errors import InputError
 from godfit.models import AbstractModel, Mitchell, Vector
 from godfit.observation import Observation, Picture
 from godfit.parameters import SCATTERING, Parameter
@@ -251,11 +252,17 @@ def _descend(
     sigma: float,
 ) -> Point:
     """Solve until it makes no more headway: valleys of depth and size are long and bent."""
-    point = solve(z, free, held, model, seen, sigma, bounded=False)
+    point = Point(z, np.inf, False, 0)
     for _ in range(MAX_SOLVES):
-        before = point.cost
-        point = solve(point.coordinates, free, held, model, seen, sigma, bounded=False)
-        if not point.cost < 0.98 * before:
+        before = point
+        try:
+            point = solve(before.coordinates, free, held, model, seen, sigma, bounded=False)
+        except jax.errors.JaxRuntimeError as error:
+            if InputError.within(error) is None:
+                raise
+            # The way led to where nothing can be drawn, behind the camera say.
+            return before
+        if not point.cost < 0.98 * before.cost:
             break
     return point
 

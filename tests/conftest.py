@@ -1,6 +1,7 @@
 """Every test runs strictly: in float64 unless it asks for the program's float32, without silent
 broadcasting between ranks, and with every annotation in godfit checked (jaxtyping, beartype)."""
 
+import importlib
 import os
 import sys
 
@@ -15,9 +16,7 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 # What numba compiles cannot be wrapped: it is loaded first, and all else once more.
-import godfit.visibility  # noqa: E402
-
-compiled = sys.modules["godfit.visibility"]
+compiled = importlib.import_module("godfit.visibility")
 for name in [n for n in sys.modules if n.split(".")[0] == "godfit"]:
     del sys.modules[name]
 sys.modules["godfit.visibility"] = compiled

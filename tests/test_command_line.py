@@ -266,3 +266,90 @@ def test_cache_folder_is_the_users_and_can_be_switched_off(monkeypatch, tmp_path
     monkeypatch.delenv("GODFIT_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert cache_folder() == tmp_path / "godfit"
+
+
+SCENE = """
+[image]
+width = 96
+height = 64
+[camera]
+position = [0.5, 1, 6]
+[light]
+position = [0.6, 0.4, -3]
+radius = 1.2
+[background]
+colour = "#222222"
+[[object]]
+primitive = "torus"
+tube = 0.25
+position = [0.2, 0.3, 0]
+rotation = [20, 30, 10]
+[scattering]
+shader = "dawntime"
+samples = 40
+"""
+
+
+@pytest.fixture
+def torus(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("torus.toml").write_text(SCENE)
+    return tmp_path
+
+
+def test_mask_of_a_scene_hard_and_smooth(torus, capsys):
+    assert main(["mask", "torus.toml", "-o", "smooth.png"]) == 0
+    assert main(["mask", "torus.toml", "-o", "hard.png", "--hard"]) == 0
+    smooth, hard = read_image("smooth.png").values, read_image("hard.png").values
+    assert smooth.shape == hard.shape == (64, 96)
+    assert set(np.unique(np.round(255 * hard))) == {0, 34, 255}
+    assert len(np.unique(smooth)) > 20
+    assert abs(smooth.mean() - hard.mean()) < 0.005
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_scene_is_rendered_and_fitted(torus, capsys):
+    assert main(["render", "torus.toml", "-o", "frame.png", "--exposure", "0.1"]) == 0
+    assert main(["fit", "frame.png", "--scene", "torus.toml", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["shader"], found["samples"]) == ("dawntime", 40)
+    assert found["params"]["exposure"]["value"] == pytest.approx(0.1, rel=0.05)
+    assert found["params"]["density"]["value"] == pytest.approx(0.8, abs=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("tube = 0.25", "tubes = 0.25"), "object[0].tubes: expected one of"),
+        (("radius = 1.2", "radius = 0"), "light.radius: expected a finite number above 0"),
+        (("[0.6, 0.4, -3]", "[0.6, 0.4, 9]"), "light.position: expected it before the camera"),
+        (('primitive = "torus"', 'mesh = "no.obj"'), "expected a mesh, got no such file"),
+        (("width = 96", "width = 0"), "image.width: expected a whole number from 1"),
+    ],
+)
+def test_bad_scenes_end_in_one_line(torus, capsys, change, words):
+    text = SCENE.replace("tube = 0.25\n", "") if "mesh" in change[1] else SCENE
+    Path("torus.toml").write_text(text.replace(*change))
+    assert main(["mask", "torus.toml", "-o", "mask.png"]) == 1
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+    assert not Path("mask.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--mask", "m.png", "--scene", "torus.toml"], "got both"),
+        (["--mask", "m.png", "--free", "light.position"], "expected --scene"),
+        (["--scene", "torus.toml", "--free", "light.size"], "did you mean"),
+        (["--scene", "none.toml"], "no such file"),
+    ],
+)
+def test_bad_scene_options(torus, capsys, arguments, words):
+    write_image("frame.png", np.zeros((64, 96)))
+    write_image("m.png", np.zeros((64, 96)))
+    assert main(["fit", "frame.png", *arguments]) in (1, 2)
+    error = capsys.readouterr().err
+    assert words in error
+    assert not Path("frame.godfit").exists()

@@ -3,9 +3,7 @@
 import dataclasses
 import json
 import math
-import sys
 from pathlib import Path
-from unittest import mock
 
 import equinox as eqx
 import imageio.v3 as imageio
@@ -15,12 +13,8 @@ import numpy as np
 import pytest
 import raster_oracle as oracle
 
-from godfit import mesh, raster
+from godfit import mesh, raster, visibility
 from godfit.scene import Camera, Light, Object, Scene
-
-# What numba compiles cannot be wrapped by the hook of conftest.py.
-with mock.patch.object(sys, "meta_path", [f for f in sys.meta_path if not hasattr(f, "modules")]):
-    from godfit import visibility
 
 SHARED = Path(__file__).parents[2] / "shared"
 WEBGL, MODELS = SHARED / "targets" / "webgl", SHARED / "models"
@@ -96,7 +90,7 @@ SCENES = {
         thing("box", (0.4, 0.3, 0), (20, 30, 10), sizes=BOX, colour=0.3),
     ),
     "light partly hidden": stage(
-        thing("icosphere", (0.5, 0.4, 1.5), (10, 20, 0), sizes=BALL), light=(0, 0.1, 0.2)
+        thing("box", (0.35, 0.4, 1.5), (20, 30, 10), sizes=BOX), light=(0.0, 0.1, 0.2)
     ),
     "light in a box": stage(
         thing("box", (0.1, 0.1, 0.1), (25, 40, 10), sizes=BOX, colour=0.3), light=(0, 0, 0)
@@ -216,7 +210,7 @@ def test_gradient_is_that_of_the_exact_loss(name):
 
 
 def test_gradient_is_that_of_the_supersampled_loss():
-    scene = stage(thing("box", (0.35, 0.4, 1.5), (20, 30, 10), sizes=BOX), light=(0.0, 0.1, 0.2))
+    scene = SCENES["light partly hidden"]
     found = gradient(scene)
     # Steps of about half a pixel.
     for key in POSE:
@@ -267,7 +261,9 @@ HARD = {
     "a corner beside the camera": strip([1, 0.3, 5], [1, -1, 0], [0, 1.5, 2], [-1, 1, 1]),
     "an edge in the near plane": strip([0, 0, 4.9], [1, -1, 4.9], [0, 1.5, 2], [-1, 1, 1]),
     "camera in a box": stage(thing("box", (0, 0, 5), sizes={"size": [4.0, 4.0, 4.0]})),
-    "light cut by the near plane": stage(light=(0.1, 0.1, 4.0), radius=0.92),
+    "light cut by the near plane": stage(
+        thing("box", (9, 0, 0), sizes=BOX), light=(0.1, 0.1, 4.0), radius=0.92
+    ),
     "everything off the screen": SCENES["nothing on the screen"],
     "everything behind": stage(thing("box", (0.0, 0.0, 9.0), sizes=BOX), light=(40.0, 0.0, 0.0)),
 }
@@ -364,6 +360,30 @@ def test_area_of_the_light():
     expected = math.pi * 0.6**2 * math.sqrt(squared) / depth**1.5
     expected *= (24 / math.tan(math.radians(25))) ** 2
     np.testing.assert_allclose(np.asarray(coverage(scene))[..., 1].sum(), expected, rtol=1e-6)
+
+
+@pytest.mark.xfail(reason="near its corners, the polygon and the sphere are told apart")
+@pytest.mark.parametrize("crossing", [False, True])
+def test_whole_outline_of_the_light_counts(crossing):
+    """Moved outwards, every piece of the outline uncovers its own length."""
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        x, y, radius = rng.uniform([-0.8, -0.6, 0.1], [0.8, 0.6, 1.0])
+        view = raster._view(stage(light=(x, y, -2), radius=radius, size=(240, 320)))
+        corners, edges, centre, radius, lens, triangles, cuts, label, _ = raster._drawn(
+            (240, 320), 0.1, 50.0, tuple(view)
+        )
+        outline = visibility.screen_edges(corners, edges, 0, cuts, lens, (240, 320))
+        found = visibility.contours(
+            triangles, outline, label, np.array([0, 1]), 2, lens, centre, radius, crossing
+        )
+        along = outline.ends[:, 2:] - outline.ends[:, :2]
+        length = np.linalg.norm(along, axis=-1)
+        across = np.stack([along[:, 1], -along[:, 0]], -1) / length[:, None]
+        uncovered = np.zeros(len(length))
+        moved = found.weight[:, 1, :2] + found.weight[:, 1, 2:]
+        np.add.at(uncovered, found.edge, (moved * across[found.edge]).sum(-1))
+        np.testing.assert_allclose(np.abs(uncovered), length, rtol=1e-6)
 
 
 def test_area_of_a_quadrilateral():
