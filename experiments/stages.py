@@ -47,7 +47,8 @@ def draw(seed: int, size: int) -> Scene:
         return (*rng.uniform(-reach, reach, 2), depth)
 
     kind, sizes = KINDS[seed % len(KINDS)]
-    objects = [build(mesh.primitive(kind, **sizes), place(1.3, 0.5), rng.uniform(0, 360, 3))]
+    front = np.array(place(1.3, 0.5))
+    objects = [build(mesh.primitive(kind, **sizes), front, rng.uniform(0, 360, 3))]
     # Side by side along the first axis of their common turn.
     turn, middle, box = rng.uniform(0, 360, 3), np.array(place(-0.7, 0.9)), mesh.primitive("box")
     left = build(box, middle, turn, 0.8, grey=0.3)
@@ -57,7 +58,10 @@ def draw(seed: int, size: int) -> Scene:
     strut = mesh.primitive("cylinder", radius=0.15 * pixel(size), height=4.0, segments=6)
     for _ in range(3):
         objects.append(build(strut, place(0.2, 1.0), (0.0, 0.0, rng.uniform(0, 180)), 1.0, 0.0))
-    light, radius = place(-3.0, 1.2), rng.uniform(0.5, 0.9)
+    # Where the light's centre comes to lie beside the outline of the body, as the camera sees it.
+    around = rng.uniform(0, 2 * np.pi)
+    light = [*(front[:2] * 8 / 3.7 + 1.4 * np.array([np.cos(around), np.sin(around)])), -3.0]
+    radius = rng.uniform(0.5, 0.9)
     return Scene(
         Camera(
             jnp.asarray([*rng.uniform(-0.2, 0.2, 2), DISTANCE], float),

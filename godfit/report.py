@@ -60,14 +60,15 @@ def summary(result: FitResult) -> str:
     """A plain-text table: what was fitted, to what, how well, and what remains open."""
     model = result.model
     height, width = result.picture.size
+    wide = max(10, *map(len, result.params))
     lines = [
         f"{model.name} model, shader {model.shader}, {model.samples} samples, "
         f"{width}x{height} pixels",
         "",
-        f"  {'parameter':<10} {'value':>13}   {'standard error':<18}",
+        f"  {'parameter':<{wide}} {'value':>13}   {'standard error':<18}",
     ]
     lines += [
-        f"  {name:<10} {value:>13}   {error:<18} {remark}".rstrip()
+        f"  {name:<{wide}} {value:>13}   {error:<18} {remark}".rstrip()
         for name, value, error, remark in _rows(result)
     ]
     if result.correlations:
@@ -220,8 +221,9 @@ def _mark_light(axes, u: float, v: float) -> None:
 
 def _write_parameters(axes, result: FitResult) -> None:
     axes.axis("off")
+    wide = max(9, *map(len, result.params))
     lines = [
-        f"{name:<9} {value:>12} \N{PLUS-MINUS SIGN} {error:<18} {remark}".rstrip()
+        f"{name:<{wide}} {value:>12} \N{PLUS-MINUS SIGN} {error:<18} {remark}".rstrip()
         for name, value, error, remark in _rows(result)
     ]
     half = (len(lines) + 1) // 2
