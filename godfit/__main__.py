@@ -13,6 +13,7 @@ import difflib  # noqa: E402
 import json  # noqa: E402
 import os  # noqa: E402
 import shlex  # noqa: E402
+import signal  # noqa: E402
 import sys  # noqa: E402
 from pathlib import Path  # noqa: E402
 from typing import TYPE_CHECKING, Any  # noqa: E402
@@ -32,6 +33,9 @@ class Progress:
     """Stages of the work on stderr: a spinner once a second has passed, on a terminal and unless
     asked to be quiet; with ``verbose`` a line for each, wherever stderr goes."""
 
+    # Python drops an interrupt that comes while it runs a finaliser: the next stage asks once more.
+    interrupted = False
+
     def __init__(self, quiet: bool, verbose: bool) -> None:
         from rich.console import Console
 
@@ -42,6 +46,8 @@ class Progress:
         self.status: Any = None
 
     def __call__(self, stage: str) -> None:
+        if Progress.interrupted:
+            raise KeyboardInterrupt
         elapsed = time.perf_counter() - self.began
         if self.verbose:
             click.echo(f"godfit: {elapsed:6.2f} s  {stage}", err=True)
@@ -408,8 +414,14 @@ def main(arguments: list[str] | None = None) -> int:
     return status
 
 
+def _interrupt(number: int, frame: Any) -> None:
+    Progress.interrupted = True
+    signal.default_int_handler(number, frame)
+
+
 def run() -> None:
     """The ``godfit`` command."""
+    signal.signal(signal.SIGINT, _interrupt)
     sys.exit(main())
 
 
