@@ -422,7 +422,14 @@ def _interrupt(number: int, frame: Any) -> None:
 def run() -> None:
     """The ``godfit`` command."""
     signal.signal(signal.SIGINT, _interrupt)
-    sys.exit(main())
+    status = main()
+    if status == INTERRUPTED:
+        # Compiled programs may still be running: an orderly end would pull the memory from under
+        # them.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+    sys.exit(status)
 
 
 if __name__ == "__main__":
