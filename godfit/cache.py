@@ -2,34 +2,34 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import warnings
 from pathlib import Path
+from typing import Any
 
 SWITCH = "GODFIT_CACHE"
 
 
 def cache_folder() -> Path | None:
-    """``$GODFIT_CACHE``, or godfit's place in the user's cache folder; None if it is "off"."""
+    """``$GODFIT_CACHE``, or godfit's place in the user's cache folder, made if need be; None if it
+    is "off" or cannot be written."""
     chosen = os.environ.get(SWITCH)
     if chosen == "off":
         return None
-    if chosen:
-        return Path(chosen)
     home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
-    return Path(home or Path.home() / ".cache") / "godfit"
+    folder = Path(chosen) if chosen else Path(home or Path.home() / ".cache") / "godfit"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return None
+    return folder if os.access(folder, os.W_OK) else None
 
 
 def keep_compiled() -> None:
     """Have JAX keep compiled programs. Without a folder that can be written, nothing is kept."""
     folder = cache_folder()
     if folder is None:
-        return
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return
-    if not os.access(folder, os.W_OK):
         return
     import jax
 
@@ -39,3 +39,18 @@ def keep_compiled() -> None:
     # An entry that another process has not finished writing, or no room to write one: the program
     # is compiled as if there were no cache, which is no news to the user.
     warnings.filterwarnings("ignore", message=".*persistent compilation cache.*")
+
+
+@functools.cache
+def numba_keeps() -> bool:
+    """Have numba keep what it compiles, beside JAX's; whether it may."""
+    folder = cache_folder()
+    if folder is None:
+        return False
+    import numba.core.config
+
+    config: Any = numba.core.config
+    # Someone who has told numba where to keep things is right.
+    if not config.CACHE_DIR:
+        config.CACHE_DIR = str(folder / "numba")
+    return True

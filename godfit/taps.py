@@ -25,7 +25,8 @@ Scalar = Float[Array, ""] | float
 
 
 class Taps(eqx.Module):
-    """Taps c_k = first * ratio**(k-1) at t_k = k * step for k = 1..count, and c_0 = own at t_0 = 0.
+    """Taps c_k = first * ratio**(k-1) at t_k = (k - lag) * step for k = 1..count, and c_0 = own at
+    t_0 = 0. No shader has a lag; taps that stand for several do.
 
     ``unit`` says what ``step`` is measured in: ``"ray"`` is a fraction of the way from the pixel
     to the light (0 at the pixel, 1 at the light); ``"uv"`` is a distance in texture coordinates,
@@ -38,6 +39,7 @@ class Taps(eqx.Module):
     step: Scalar
     count: int = eqx.field(static=True)
     unit: Literal["ray", "uv"] = eqx.field(static=True, default="ray")
+    lag: Scalar = 0.0
 
     @property
     def c(self) -> Float[Array, " count"]:
@@ -47,7 +49,7 @@ class Taps(eqx.Module):
     @property
     def t(self) -> Float[Array, " count"]:
         """Positions t_1..t_K in ``unit``."""
-        return jnp.asarray(self.step) * jnp.arange(1, self.count + 1)
+        return jnp.asarray(self.step) * (jnp.arange(1, self.count + 1) - self.lag)
 
     @property
     def total(self) -> Float[Array, ""]:

@@ -24,6 +24,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from godfit.cache import numba_keeps
+
 BACKGROUND, LIGHT, FIRST_OBJECT = 0, 1, 2
 # Lines of the sweep are not level: y + SHEAR x is constant along them, so that the edges people
 # draw, upright and level ones, are never parallel to a line.
@@ -74,7 +76,7 @@ class Contours(NamedTuple):
     weight: np.ndarray
 
 
-_compiled = njit(cache=True, nogil=True, error_model="numpy")
+_compiled = njit(cache=numba_keeps(), nogil=True, error_model="numpy")
 
 
 @_compiled

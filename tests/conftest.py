@@ -1,25 +1,31 @@
 """Every test runs strictly: in float64 unless it asks for the program's float32, without silent
 broadcasting between ranks, and with every annotation in godfit checked (jaxtyping, beartype)."""
 
+import atexit
 import importlib
 import os
+import shutil
 import sys
+import tempfile
 
 os.environ["MPLBACKEND"] = "Agg"
-os.environ["GODFIT_CACHE"] = "off"
+# Commands that tests run share what is compiled; nothing of an earlier run is trusted.
+os.environ["GODFIT_CACHE"] = tempfile.mkdtemp(prefix="godfit-")
 
 import jax
 import pytest
 from jaxtyping import install_import_hook
 
+atexit.register(shutil.rmtree, os.environ["GODFIT_CACHE"], ignore_errors=True)
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 # What numba compiles cannot be wrapped: it is loaded first, and all else once more.
-compiled = importlib.import_module("godfit.visibility")
+COMPILED = ("godfit.visibility", "godfit.radial.compiled", "godfit.radial.foreign")
+compiled = {name: importlib.import_module(name) for name in COMPILED}
 for name in [n for n in sys.modules if n.split(".")[0] == "godfit"]:
     del sys.modules[name]
-sys.modules["godfit.visibility"] = compiled
+sys.modules |= compiled
 # Before any test module imports godfit: the hook rewrites modules as they are loaded.
 install_import_hook("godfit", "beartype.beartype")
 
