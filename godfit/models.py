@@ -211,9 +211,13 @@ class Mitchell(AbstractModel):
         low = (mask.shape[0], mask.shape[1])
         if size is None:
             size = low
-        if size == low:
-            at = None if pixels is None else _columns_rows(pixels, size[1], mask.dtype)
-            light = self.light_pass(mask, at, method)
+        if size == low and (pixels is None or 4 * pixels.shape[0] >= size[0] * size[1]):
+            # A whole picture costs less than many points.
+            light = self.light_pass(mask, None, method)
+            if pixels is not None:
+                light = light.reshape(-1, *light.shape[2:])[pixels]
+        elif size == low:
+            light = self.light_pass(mask, _columns_rows(pixels, size[1], mask.dtype), method)
         else:
             light = self._upsampled(mask, size, pixels, method)
         if background is None:
