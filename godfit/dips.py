@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from godfit.inference import evidence, misfit
+from godfit.inference import Evidence, evidence, misfit
 from godfit.likelihood import deviance_residuals
 from godfit.models import AbstractModel, Vector
 from godfit.observation import Observation, Picture, blurred
@@ -27,7 +27,6 @@ from godfit.search import (
     SIGMAS,
     WITHIN_ROUNDING,
     Settled,
-    Tangent,
     settle,
 )
 from godfit.solver import solve
@@ -58,7 +57,7 @@ def on_subset(
     that all pixels must decide between."""
     seen = picture.observe(picture.informative(PIXELS, seed))
     settled, tangent = settle(coordinates, model, seen, free, held)
-    along, dip, doubtful = _dips(settled, tangent, model, seen, free)
+    along, dip, doubtful = _dips(settled, evidence(settled, tangent, seen), model, free)
     if not doubtful and settled.sigma < 2 * SIGMAS[0]:
         return [settled.coordinates]
     say("other densities")
@@ -88,69 +87,65 @@ def _like_noise(at: Settled, model: AbstractModel, seen: Observation, held: np.n
 
 
 def _dips(
-    settled: Settled,
-    tangent: Tangent,
-    model: AbstractModel,
-    seen: Observation,
-    free: np.ndarray,
+    settled: Settled, at: Evidence, model: AbstractModel, free: np.ndarray
 ) -> tuple[int, float, bool]:
     """Index of density, the distance between two dips of the cost in it (one band, a shift of the
     rays' end by one tap), and whether its error is wide enough for another dip to be the right one.
     """
     along = list(model.parameters).index("density")
     dip = float(settled.coordinates[along]) / model.samples
-    variance = evidence(settled, tangent, seen).covariance(free)[along, along]
+    variance = at.covariance(free)[along, along]
     return along, dip, bool(free[along] and variance > (dip / 20) ** 2)
 
 
 def next_dips(
     settled: Settled,
-    tangent: Tangent,
+    at: Evidence,
     model: AbstractModel,
     seen: Observation,
     free: np.ndarray,
     held: np.ndarray,
-) -> tuple[Settled, Tangent]:
+) -> tuple[Settled, Evidence]:
     """From dip to dip, both ways, as long as the likelihood of all pixels gains."""
-    along, dip, doubtful = _dips(settled, tangent, model, seen, free)
+    along, dip, doubtful = _dips(settled, at, model, free)
     if not doubtful:
-        return settled, tangent
-    covariance = evidence(settled, tangent, seen).covariance(free)
+        return settled, at
+    covariance = at.covariance(free)
     follow = covariance[:, along] / covariance[along, along]
     for way in (-dip, dip):
         for _ in range(MAX_DIPS):
             start = (settled.coordinates + way * follow).astype(np.float32)
-            other = settle(start, model, seen, free, held)
-            if other[0].log_likelihood <= settled.log_likelihood + 0.5:
+            other, tangent = settle(start, model, seen, free, held)
+            if other.log_likelihood <= settled.log_likelihood + 0.5:
                 break
-            settled, tangent = other
-    return settled, tangent
+            settled, at = other, evidence(other, tangent, seen)
+    return settled, at
 
 
 def beat_rivals(
     settled: Settled,
-    tangent: Tangent,
+    at: Evidence,
     model: AbstractModel,
     picture: Picture,
     seen: Observation,
     free: np.ndarray,
     held: np.ndarray,
     seed: int,
-) -> tuple[Settled, Tangent]:
+) -> tuple[Settled, Evidence]:
     """The likeliest of the dips around, on all pixels of ``seen``. With noise a wrong dip looks as
     good as the right one until they are held against each other."""
     for _ in range(MAX_RIVALRIES):
-        along, dip, _ = _dips(settled, tangent, model, seen, free)
+        along, dip, _ = _dips(settled, at, model, free)
         if not free[along] or settled.sigma < WITHIN_ROUNDING:
             break
         before = settled.log_likelihood
         for z in rivals(settled, along, dip, model, picture, free, held, seed):
-            other = settle(z, model, seen, free, held)
-            if other[0].log_likelihood > settled.log_likelihood:
-                settled, tangent = other
+            other, tangent = settle(z, model, seen, free, held)
+            if other.log_likelihood > settled.log_likelihood:
+                settled, at = other, evidence(other, tangent, seen)
         if settled.log_likelihood < before + 0.5:
             break
-    return settled, tangent
+    return settled, at
 
 
 def rivals(

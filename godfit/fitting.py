@@ -185,9 +185,9 @@ def _look(
         (search.settle(z, model, seen, free, held) for z in candidates),
         key=lambda found: found[0].log_likelihood,
     )
-    settled, tangent = dips.next_dips(settled, tangent, model, seen, free, held)
-    settled, tangent = dips.beat_rivals(settled, tangent, model, picture, seen, free, held, seed)
     at = evidence(settled, tangent, seen)
+    settled, at = dips.next_dips(settled, at, model, seen, free, held)
+    settled, at = dips.beat_rivals(settled, at, model, picture, seen, free, held, seed)
     found = Found(model, picture, seen, settled, at, free, held, opened)
     return _hold_open(found, given)
 

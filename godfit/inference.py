@@ -140,16 +140,20 @@ def misfit(prediction: np.ndarray, seen: Observation) -> Misfit:
     """``Misfit`` of the values that are not clipped."""
     lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
     inside = np.isfinite(lo) & np.isfinite(hi)
-    residual = np.where(inside, (np.where(inside, lo, 0) + np.where(inside, hi, 0)) / 2, 0.0)
-    residual = np.where(inside, np.asarray(prediction) - residual, 0.0).astype(np.float64)
-    power = float(np.mean(residual[inside] ** 2)) if inside.any() else 0.0
+    residual = (np.where(inside, lo, 0) + np.where(inside, hi, 0)) / 2
+    residual = np.where(inside, np.asarray(prediction) - residual, 0.0)
+    count = max(int(np.count_nonzero(inside)), 1)
+    square = np.square(residual)
+    power = float(square.sum(dtype=np.float64)) / count
     if power == 0:
         return Misfit(0.0, 0.0)
-    tails = float(np.mean(residual[inside] ** 4)) / power**2
+    tails = float(np.square(square).sum(dtype=np.float64)) / count / power**2
     rows = residual.reshape(-1, seen.channels)
     known = inside.reshape(-1, seen.channels)
     pixels = np.asarray(seen.pixels)
     beside = (np.diff(pixels) == 1) & (pixels[1:] % seen.size[1] != 0)
     both = known[:-1] & known[1:] & beside[:, None]
-    correlation = float(np.mean((rows[:-1] * rows[1:])[both])) / power if both.any() else 0.0
+    pairs = max(int(np.count_nonzero(both)), 1)
+    products = np.where(both, rows[:-1] * rows[1:], 0)
+    correlation = float(products.sum(dtype=np.float64)) / pairs / power
     return Misfit(tails, correlation)

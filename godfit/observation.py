@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -133,10 +134,12 @@ class Picture:
             lo, hi = self.intervals(pixels)
         else:
             smooth = blurred(self.levels, blur).reshape(-1, self.channels)[pixels]
-            unsafe = ndimage.gaussian_filter(self.clipped().astype(np.float32), blur) > 0.01
-            unsafe = unsafe.reshape(-1)[pixels, None]
-            lo = np.where(unsafe, -np.inf, smooth - max(self.half, 0.5)).astype(np.float32)
-            hi = np.where(unsafe, np.inf, smooth + max(self.half, 0.5)).astype(np.float32)
+            lo, hi = smooth - max(self.half, 0.5), smooth + max(self.half, 0.5)
+            clipped = self.clipped()
+            if clipped.any():
+                near = blurred(clipped.astype(np.float32), blur).reshape(-1)[pixels, None] > 0.01
+                lo, hi = np.where(near, -np.inf, lo), np.where(near, np.inf, hi)
+            lo, hi = lo.astype(np.float32), hi.astype(np.float32)
             mask = blurred(mask, blur * mask.shape[0] / self.size[0])
             background = None if background is None else blurred(background, blur)
         return Observation(
@@ -165,23 +168,33 @@ class Picture:
         rng = np.random.default_rng(seed)
         if len(candidates) > CANDIDATES:
             candidates = np.unique(candidates[rng.integers(0, len(candidates), CANDIDATES)])
-        even = rng.permutation(candidates)[: count // 2]
+        slope = self._slopes[candidates]
+        even = rng.choice(len(candidates), count // 2, replace=False, shuffle=False)
+        slope[even] = 0
+        odd = count - len(even)
+        if np.count_nonzero(slope) < odd:
+            return np.sort(candidates[rng.permutation(len(candidates))[:count]])
+        # Drawn without replacement, chances as the slopes are: the first of exponential clocks.
+        clock = rng.standard_exponential(len(candidates), np.float32)
+        clock = np.where(slope > 0, clock / np.where(slope > 0, slope, 1), np.inf)
+        return np.sort(candidates[np.append(even, np.argpartition(clock, odd)[:odd])])
+
+    @functools.cached_property
+    def _slopes(self) -> np.ndarray:
+        """(h w,) how much the target varies about each pixel, 0 where it is clipped."""
         small = self.small
         if min(small.size) < 2:
-            return np.sort(rng.permutation(candidates)[:count])
+            return np.zeros(self.size[0] * self.size[1], np.float32)
         bright = np.minimum(small.levels.mean(-1), LEVELS - 1)
         # Differences over a few pixels see slopes that single levels hide.
         scale = max(1.0, max(small.size) / 256)
-        slope = np.hypot(*np.gradient(ndimage.gaussian_filter(bright, scale)))
+        down, along = np.gradient(ndimage.gaussian_filter(bright, scale))
+        slope = np.hypot(down, along)
         slope[small.clipped()] = 0
-        (h, w), (rows, columns) = self.size, small.size
-        cell = candidates // w * rows // h * columns + candidates % w * columns // w
-        chance = slope.reshape(-1)[cell].astype(np.float64)
-        chance[np.isin(candidates, even)] = 0
-        if np.count_nonzero(chance) < count - len(even):
-            return np.sort(rng.permutation(candidates)[:count])
-        odd = rng.choice(candidates, count - len(even), replace=False, p=chance / chance.sum())
-        return np.sort(np.concatenate([even, odd]))
+        if small is not self:
+            (h, w), (rows, columns) = self.size, small.size
+            slope = slope[np.arange(h) * rows // h][:, np.arange(w) * columns // w]
+        return slope.reshape(-1).astype(np.float32)
 
 
 def render(
@@ -224,6 +237,11 @@ def _grey(image: np.ndarray) -> tuple[np.ndarray, bool]:
 
 
 def blurred(image: np.ndarray, sigma: float) -> np.ndarray:
-    """(h, w, ...) under a Gaussian of ``sigma`` pixels, clamped to the edge."""
-    axes = (sigma, sigma) + (0,) * (image.ndim - 2)
-    return ndimage.gaussian_filter(image, axes, mode="nearest")
+    """(h, w, ...) blurred with a standard deviation of about ``sigma`` pixels, clamped to the edge.
+
+    By a tent, two boxes, whose cost does not grow with its width: which blur it is does not matter
+    to those who blur two images alike."""
+    width = 2 * round((math.sqrt(6 * sigma**2 + 1) - 1) / 2) + 1
+    for _ in range(2):
+        image = ndimage.uniform_filter(image, width, mode="nearest", axes=(0, 1))
+    return image

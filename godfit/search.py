@@ -20,6 +20,8 @@ from godfit.observation import Observation, Picture
 from godfit.solver import Point, linearise, scales, solve, solve_tangent
 
 PIXELS = 2048
+# What is blurred needs fewer.
+BLURRED_PIXELS = 512
 # Blur (as a share of the longer side), starts kept, sigma in levels.
 LADDER = ((1 / 64, 3, 4.0), (1 / 128, 2, 2.0), (1 / 256, 1, 1.0), (1 / 512, 1, 1.0))
 # Noise below this many levels means that even the rounding of every pixel is explained.
@@ -27,11 +29,11 @@ EXPLAINED = 0.05
 # Noise below this is lost in the rounding: masks that were rounded themselves leave as much.
 WITHIN_ROUNDING = 0.125
 # Levels, from well under the least that float32 leaves to the coarsest that means anything.
-WALLS = 1 << 15
+WALLS = 1 << 14
 # Gain in log-likelihood for which pixels are not rendered again: kinks of the mask make it jump by
 # as much between one float32 and the next.
 SHORT = 4.0
-SIGMA_VALUES = 1 << 14
+SIGMA_VALUES = 1 << 13
 SIGMAS = (0.005 * 3.0 ** np.arange(10)).astype(np.float32)
 
 
@@ -86,7 +88,7 @@ def climb(
     report: Callable[[str], None],
 ) -> Point:
     """The best of ``starts`` after the ladder of blurs."""
-    pixels = picture.informative(PIXELS, seed)
+    pixels = picture.informative(BLURRED_PIXELS, seed)
     points = [Point(start, np.inf, False, 0) for start in starts]
     for share, keep, sigma in LADDER:
         seen = picture.observe(pixels, share * max(picture.size))
@@ -107,7 +109,7 @@ def _distinct(points: list[Point]) -> list[Point]:
     for p in points:
         if not any(
             abs(p.cost - q.cost) < 0.01 * q.cost
-            and np.allclose(p.coordinates[2:], q.coordinates[2:], rtol=0.02, atol=0.01)
+            and np.allclose(p.coordinates[2:], q.coordinates[2:], rtol=0.05, atol=0.03)
             for q in kept
         ):
             kept.append(p)
@@ -205,7 +207,8 @@ def _aim(
 def _near_walls(prediction: np.ndarray, lo: np.ndarray, hi: np.ndarray) -> np.ndarray | slice:
     """The values nearest to the ends of their intervals. Where rounding is all the noise there is,
     the others are far inside and have no say."""
-    if prediction.shape[0] <= WALLS:
+    count = max(WALLS, len(prediction) // 16)
+    if len(prediction) <= count:
         return slice(None)
     slack = np.minimum(prediction - lo, hi - prediction)
-    return np.sort(np.argpartition(slack, WALLS)[:WALLS])
+    return np.sort(np.argpartition(slack, count)[:count])
