@@ -58,18 +58,20 @@ def best_sigma(prediction: np.ndarray, seen: Observation) -> tuple[float, float]
     A grid of sigmas is refined by finer ones about its best, on a part of the pixels that is
     enough to know sigma to a percent.
     """
-    values = prediction, seen.lo, seen.hi
+    values, whole = (prediction, seen.lo, seen.hi), True
     if prediction.shape[0] > SIGMA_VALUES:
         # Drawn at random: a regular stride would fall into step with the rows.
         part = np.random.default_rng(0).integers(0, prediction.shape[0], SIGMA_VALUES)
-        values = tuple(np.asarray(z)[part] for z in values)
+        values, whole = tuple(np.asarray(z)[part] for z in values), False
     sigmas, ratio = SIGMAS, SIGMAS[1] / SIGMAS[0]
     for _ in range(4):
-        best = sigmas[int(np.nanargmax(_log_likelihoods(*values, sigmas)))]
+        found = np.asarray(_log_likelihoods(*values, sigmas))
+        at = int(np.nanargmax(found))
+        best, likelihood = float(sigmas[at]), float(found[at])
         ratio **= 0.25
         sigmas = best * ratio ** np.linspace(-4.5, 4.5, len(SIGMAS))
         sigmas = np.clip(sigmas, SIGMAS[0], SIGMAS[-1]).astype(np.float32)
-    return float(best), log_likelihood_at(prediction, seen, float(best))
+    return best, likelihood if whole else log_likelihood_at(prediction, seen, best)
 
 
 def log_likelihood_at(prediction: np.ndarray, seen: Observation, sigma: float) -> float:

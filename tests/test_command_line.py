@@ -14,7 +14,6 @@ import pytest
 
 from godfit import read_image, write_image
 from godfit.__main__ import main
-from godfit.cache import cache_folder
 from godfit.report import number
 from godfit.sidecar import read_sidecar
 
@@ -256,16 +255,6 @@ def test_not_converged_is_3_and_writes_all_the_same(disc, capsys):
 )
 def test_values_have_the_digits_of_their_errors(value, stderr, text):
     assert number(value, stderr) == text
-
-
-def test_cache_folder_is_the_users_and_can_be_switched_off(monkeypatch, tmp_path):
-    monkeypatch.setenv("GODFIT_CACHE", "off")
-    assert cache_folder() is None
-    monkeypatch.setenv("GODFIT_CACHE", str(tmp_path))
-    assert cache_folder() == tmp_path
-    monkeypatch.delenv("GODFIT_CACHE")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert cache_folder() == tmp_path / "godfit"
 
 
 SCENE = """

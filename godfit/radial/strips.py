@@ -18,14 +18,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from godfit.radial.compiled import CELL, GROUP, HIGH, target
+from godfit.radial.compiled import CELL, HIGH, target
 from godfit.radial.geometric import Numbers, geometric
 from godfit.radial.pairs import pair_sums
 from godfit.taps import Taps
 
 # Calls for one picture: XLA shares them out among its threads, if they are many (it runs programs
 # of few steps in their order).
-CALLS = 24
+CALLS = 16
+# Points that are worth a call of their own.
+ENOUGH = 1024
 
 
 def _shares(size: int, unit: int, most: int) -> list[tuple[int, int]]:
@@ -55,7 +57,7 @@ def strip_sums(
         return made(padded, *arguments)
 
     if at is not None:
-        shares = _shares(at.shape[1], GROUP, CALLS)
+        shares = _shares(at.shape[1], ENOUGH, CALLS)
         one = jnp.asarray([count], jnp.int32)
         parts = [
             call("points", (sums, 1, size), at[:, begin : begin + size], packed, one)
