@@ -646,6 +646,72 @@ def _cross(
     return one, other
 
 
+@_compiled
+def _minus(a, b):
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@_compiled
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@_compiled
+def _cross_product(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@_compiled
+def _through_sphere(a, b, c, squared):
+    """Whether a triangle has points inside and outside the sphere around the origin of that squared
+    radius."""
+    if max(_dot(a, a), _dot(b, b), _dot(c, c)) <= squared:
+        return False
+    normal = _cross_product(_minus(b, a), _minus(c, a))
+    above = True
+    for p, q in ((a, b), (b, c), (c, a)):
+        edge = _minus(q, p)
+        share = min(max(-_dot(p, edge) / max(_dot(edge, edge), 1e-300), 0.0), 1.0)
+        foot = p[0] + share * edge[0], p[1] + share * edge[1], p[2] + share * edge[2]
+        if _dot(foot, foot) < squared:
+            return True
+        above = above and _dot(_cross_product(edge, p), normal) <= 0
+    height = _dot(a, normal)
+    return above and height * height < squared * _dot(normal, normal)
+
+
+@_compiled
+def may_cross(camera, faces, face_label, colour_of, centre, radius):
+    """Whether surfaces of different colours may pass through each other: a triangle the light's
+    sphere, or two objects whose boxes overlap."""
+    # Compiled, for in numpy the temporaries of a million triangles take longer than all else.
+    labels = colour_of.shape[0]
+    low, high = np.full((labels, 3), np.inf), np.full((labels, 3), -np.inf)
+    middle = centre[0], centre[1], centre[2]
+    for f in range(faces.shape[0]):
+        label = face_label[f]
+        for k in range(3):
+            corner = camera[faces[f, k]]
+            for axis in range(3):
+                low[label, axis] = min(low[label, axis], corner[axis])
+                high[label, axis] = max(high[label, axis], corner[axis])
+        if colour_of[label] != colour_of[LIGHT]:
+            a, b, c = camera[faces[f, 0]], camera[faces[f, 1]], camera[faces[f, 2]]
+            if _through_sphere(
+                _minus(a, middle), _minus(b, middle), _minus(c, middle), radius * radius
+            ):
+                return True
+    for i in range(labels):
+        for j in range(i):
+            if (
+                colour_of[i] != colour_of[j]
+                and (low[i] < high[j]).all()
+                and (low[j] < high[i]).all()
+            ):
+                return True
+    return False
+
+
 def contours(
     triangles: Triangles,
     edges: Edges,
