@@ -13,7 +13,6 @@ touches it, drawn as a polygon of equal area with OUTLINE corners; inside and de
 from __future__ import annotations
 
 import functools
-import itertools
 import threading
 from typing import NamedTuple
 
@@ -256,6 +255,7 @@ def _contours(size, near, far, colour_of, *view):
         vertices, edges, centre, radius, lens, triangles, cuts, label, _ = _drawn(
             size, near, far, view
         )
+        faces, face_label = np.asarray(view[1]), np.asarray(view[2])
         outline = len(vertices) - OUTLINE
         candidates = visibility.screen_edges(vertices, edges, outline, cuts, lens, size)
         colours = np.array(colour_of)
@@ -268,9 +268,8 @@ def _contours(size, near, far, colour_of, *view):
             lens,
             centre,
             radius,
-            _may_cross(vertices[:outline], np.asarray(view[1]), np.asarray(view[2]), colours,
-                       centre, radius),
-        )  # fmt: skip
+            visibility.may_cross(vertices, faces, face_label, colours, centre, radius),
+        )
     count, room = len(found.pixel), FRAGMENTS + size[0] * size[1] // 4
     if count > room:
         raise InputError(
@@ -283,38 +282,3 @@ def _contours(size, near, far, colour_of, *view):
     pixel[:count], made_of[:count] = found.pixel, candidates.made_of[found.edge]
     weight[:count] = found.weight
     return found.share.astype(dtype), np.int32(count), pixel, made_of, weight
-
-
-def _may_cross(vertices, faces, face_label, colours, centre, radius) -> bool:
-    """Whether surfaces of different colours may pass through each other: a triangle the light's
-    sphere, or two objects whose boxes overlap."""
-    boxes = {}
-    for i in np.unique(face_label):
-        corners = vertices[faces[face_label == i]]
-        near, far = _distances(corners - centre)
-        if colours[i] != colours[1] and ((near < radius) & (far > radius)).any():
-            return True
-        boxes[i] = corners.min((0, 1)), corners.max((0, 1))
-    return any(
-        colours[i] != colours[j]
-        and (boxes[i][0] < boxes[j][1]).all()
-        and (boxes[j][0] < boxes[i][1]).all()
-        for i, j in itertools.combinations(boxes, 2)
-    )
-
-
-def _distances(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least and greatest distance of triangles (t, 3, 3) from the origin."""
-    far = np.linalg.norm(corners, axis=-1)
-    near = far.min(1)
-    a, b, c = np.moveaxis(corners, 1, 0)
-    normal = np.cross(b - a, c - a)
-    above = np.ones(len(corners), bool)
-    for p, q in ((a, b), (b, c), (c, a)):
-        edge = q - p
-        along = -(p * edge).sum(-1) / np.maximum((edge**2).sum(-1), 1e-300)
-        foot = p + along.clip(0, 1)[:, None] * edge
-        near = np.minimum(near, np.linalg.norm(foot, axis=-1))
-        above &= (np.cross(edge, -p) * normal).sum(-1) >= 0
-    height = np.abs((a * normal).sum(-1)) / np.maximum(np.linalg.norm(normal, axis=-1), 1e-300)
-    return np.where(above, height, near), far.max(1)

@@ -59,10 +59,11 @@ class Triangles(NamedTuple):
 class Edges(NamedTuple):
     """Edges that may be contours, on the screen: ends (n, 4) as x0, y0, x1, y1, and the vertices
     each end is made of (n, 4), i, j, k, l: a vertex where i == j, else where i-j meets the near
-    plane."""
+    plane; and whether it belongs to the light's outline (n,), which turns from x to y."""
 
     ends: np.ndarray
     made_of: np.ndarray
+    of_light: np.ndarray
 
 
 class Contours(NamedTuple):
@@ -261,12 +262,14 @@ def screen_edges(
     n = _screen_edges(camera, edges, outline, cuts, lens, *size, *none)
     filled = np.empty((n + 1, 4)), np.empty((n + 1, 4), np.int32)
     _screen_edges(camera, edges, outline, cuts, lens, *size, *filled)
-    return Edges(filled[0][:n], filled[1][:n])
+    ends, made_of = filled[0][:n], filled[1][:n]
+    return Edges(ends, made_of, made_of[:, 0] >= outline)
 
 
 @_compiled
-def _sphere_depth(x, y, lens, centre, radius):
-    """Depth of the light's front under (x, y), or 0 where it is not."""
+def _sphere_depth(x, y, lens, centre, radius, inside):
+    """Depth of the light's front under (x, y), or 0 where it is not. A point known to be ``inside``
+    is never beside the sphere: at worst it touches."""
     dx, dy = (x - lens.centre_x) / lens.focal_x, -(y - lens.centre_y) / lens.focal_y
     along = dx * centre[0] + dy * centre[1] - centre[2]
     length = dx * dx + dy * dy + 1.0
@@ -275,9 +278,9 @@ def _sphere_depth(x, y, lens, centre, radius):
     ay = centre[2] * dx + centre[0]
     az = centre[0] * dy - centre[1] * dx
     apart = (ax * ax + ay * ay + az * az) / length
-    if along <= 0 or apart >= radius * radius:
+    if along <= 0 or (apart >= radius * radius and not inside):
         return 0.0
-    depth = (along - np.sqrt(length * (radius * radius - apart))) / length
+    depth = (along - np.sqrt(length * max(radius * radius - apart, 0.0))) / length
     return depth if lens.near <= depth <= lens.far else 0.0
 
 
@@ -344,7 +347,7 @@ def _label_rows(triangles, lens, centre, radius, first, last, label, q):
                         label[row, column] = triangles.label[t]
     for row in range(first, last):
         for column in range(width):
-            depth = _sphere_depth(column + 0.5, row + 0.5, lens, centre, radius)
+            depth = _sphere_depth(column + 0.5, row + 0.5, lens, centre, radius, False)
             if depth > 0 and 1.0 / depth > q[row, column]:
                 q[row, column] = 1.0 / depth
                 label[row, column] = LIGHT
@@ -438,8 +441,10 @@ def _triangles_of_pixels(triangles, wanted, first, last, begin, listed):
 
 
 @_compiled
-def _seen_at(x, y, triangles, candidates, lens, centre, radius):
-    """Label of the nearest surface at one point of the screen."""
+def _seen_at(x, y, triangles, candidates, lens, centre, radius, rim):
+    """Label of the nearest surface at one point of the screen. In the pixels that they cross, the
+    edges ``rim`` (n, 4) of the light's outline say where it is: the sphere lies up to thousandths
+    of a pixel beside them, enough to take a narrow cell for its neighbour."""
     best, found = 1.0 / lens.far, BACKGROUND
     for t in candidates:
         p = triangles.corners[t]
@@ -455,7 +460,11 @@ def _seen_at(x, y, triangles, candidates, lens, centre, radius):
         q = (w1 * p[0, 2] + w2 * p[1, 2] + w0 * p[2, 2]) / (w0 + w1 + w2)
         if q > best:
             best, found = q, triangles.label[t]
-    depth = _sphere_depth(x, y, lens, centre, radius)
+    for x0, y0, x1, y1 in rim:
+        # The polygon is convex: within the pixel, those of its edges that cross it bound it.
+        if (x1 - x0) * (y - y0) < (y1 - y0) * (x - x0):
+            return found
+    depth = _sphere_depth(x, y, lens, centre, radius, rim.shape[0] > 0)
     if depth > 0 and depth * best < 1.0:
         found = LIGHT
     return found
@@ -478,7 +487,7 @@ def _clip_to_pixel(u0, v0, u1, v1):
 
 @_compiled
 def _sweep_rows(
-    triangles, ends, colour_of, labels, wanted, crossing, lens, centre, radius,
+    triangles, edges, colour_of, labels, wanted, crossing, lens, centre, radius,
     first, last, edge_begin, edge_list, share, weight,
 ):  # fmt: skip
     """Fill ``share`` (h, w, colours) and ``weight`` (of every entry of the edge list, colours, 4)
@@ -499,6 +508,7 @@ def _sweep_rows(
     # Per edge in the pixel: Y and u of both clipped ends, parameters of these.
     part = np.empty((most + 1, 6))
     slot = np.empty(most + 1, np.int64)
+    around = np.empty((most + 1, 4))
     events = np.empty(4 + EVEN_STEPS + 2 * (most + 1) + MANY_EDGES * MANY_EDGES)
     active = np.empty(most + 1, np.int64)
     at = np.empty(most + 2)
@@ -510,9 +520,13 @@ def _sweep_rows(
                 continue
             local = pixel - first * width
             candidates = tri_list[begin[local] : begin[local + 1]]
-            m = 0
+            m, of_light = 0, 0
             for entry in range(edge_begin[pixel], edge_begin[pixel + 1]):
-                x0, y0, x1, y1 = ends[edge_list[entry]]
+                edge = edge_list[entry]
+                x0, y0, x1, y1 = edges.ends[edge]
+                if edges.of_light[edge]:
+                    around[of_light] = edges.ends[edge]
+                    of_light += 1
                 u0, v0, u1, v1 = x0 - column, y0 - row, x1 - column, y1 - row
                 t0, t1 = _clip_to_pixel(u0, v0, u1, v1)
                 if t0 >= t1:
@@ -528,6 +542,7 @@ def _sweep_rows(
                 part[m, 3], part[m, 4], part[m, 5] = yb, ub, t1
                 slot[m] = entry
                 m += 1
+            rim = around[:of_light]
             if m == 0 and not crossing:
                 # No contour passes: the pixel has the colour of its centre.
                 share[row, column, colour_of[labels[row, column]]] = 1.0
@@ -585,12 +600,12 @@ def _sweep_rows(
                     if crossing:
                         colour, last_colour = _cross(
                             column, row, border, end, y, step, triangles, candidates, lens,
-                            centre, radius, colour_of, share[row, column],
+                            centre, radius, rim, colour_of, share[row, column],
                         )  # fmt: skip
                     else:
                         seen = _seen_at(
                             column + u, row + y - SHEAR * u, triangles, candidates, lens,
-                            centre, radius,
+                            centre, radius, rim,
                         )  # fmt: skip
                         colour = colour_of[seen]
                         last_colour = colour
@@ -614,7 +629,8 @@ def _sweep_rows(
 
 @_compiled
 def _cross(
-    column, row, begin, end, y, step, triangles, candidates, lens, centre, radius, colour_of, share
+    column, row, begin, end, y, step, triangles, candidates, lens, centre, radius, rim, colour_of,
+    share,
 ):  # fmt: skip
     """A cell in which surfaces may pass through each other: its first and last colour, with the
     place where they change found by bisection."""
@@ -623,12 +639,12 @@ def _cross(
     a, b = begin + inset, end - inset
     one = colour_of[
         _seen_at(
-            column + a, row + y - SHEAR * a, triangles, candidates, lens, centre, radius
+            column + a, row + y - SHEAR * a, triangles, candidates, lens, centre, radius, rim
         )
     ]  # fmt: skip
     other = colour_of[
         _seen_at(
-            column + b, row + y - SHEAR * b, triangles, candidates, lens, centre, radius
+            column + b, row + y - SHEAR * b, triangles, candidates, lens, centre, radius, rim
         )
     ]  # fmt: skip
     if one == other:
@@ -637,7 +653,7 @@ def _cross(
     for _ in range(20):
         u = 0.5 * (a + b)
         here = _seen_at(
-            column + u, row + y - SHEAR * u, triangles, candidates, lens, centre, radius
+            column + u, row + y - SHEAR * u, triangles, candidates, lens, centre, radius, rim
         )
         if colour_of[here] == one:
             a = u
@@ -646,6 +662,72 @@ def _cross(
     share[one] += step * (0.5 * (a + b) - begin)
     share[other] += step * (end - 0.5 * (a + b))
     return one, other
+
+
+@_compiled
+def _minus(a, b):
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@_compiled
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@_compiled
+def _cross_product(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@_compiled
+def _through_sphere(a, b, c, squared):
+    """Whether a triangle has points inside and outside the sphere around the origin of that squared
+    radius."""
+    if max(_dot(a, a), _dot(b, b), _dot(c, c)) <= squared:
+        return False
+    normal = _cross_product(_minus(b, a), _minus(c, a))
+    above = True
+    for p, q in ((a, b), (b, c), (c, a)):
+        edge = _minus(q, p)
+        share = min(max(-_dot(p, edge) / max(_dot(edge, edge), 1e-300), 0.0), 1.0)
+        foot = p[0] + share * edge[0], p[1] + share * edge[1], p[2] + share * edge[2]
+        if _dot(foot, foot) < squared:
+            return True
+        above = above and _dot(_cross_product(edge, p), normal) <= 0
+    height = _dot(a, normal)
+    return above and height * height < squared * _dot(normal, normal)
+
+
+@_compiled
+def may_cross(camera, faces, face_label, colour_of, centre, radius):
+    """Whether surfaces of different colours may pass through each other: a triangle the light's
+    sphere, or two objects whose boxes overlap."""
+    # Compiled, for in numpy the temporaries of a million triangles take longer than all else.
+    labels = colour_of.shape[0]
+    low, high = np.full((labels, 3), np.inf), np.full((labels, 3), -np.inf)
+    middle = centre[0], centre[1], centre[2]
+    for f in range(faces.shape[0]):
+        label = face_label[f]
+        for k in range(3):
+            corner = camera[faces[f, k]]
+            for axis in range(3):
+                low[label, axis] = min(low[label, axis], corner[axis])
+                high[label, axis] = max(high[label, axis], corner[axis])
+        if colour_of[label] != colour_of[LIGHT]:
+            a, b, c = camera[faces[f, 0]], camera[faces[f, 1]], camera[faces[f, 2]]
+            if _through_sphere(
+                _minus(a, middle), _minus(b, middle), _minus(c, middle), radius * radius
+            ):
+                return True
+    for i in range(labels):
+        for j in range(i):
+            if (
+                colour_of[i] != colour_of[j]
+                and (low[i] < high[j]).all()
+                and (low[j] < high[i]).all()
+            ):
+                return True
+    return False
 
 
 def contours(
@@ -678,7 +760,7 @@ def contours(
     _share_rows(
         height,
         lambda a, b: _sweep_rows(
-            triangles, edges.ends, colour_of, labels, wanted, crossing, lens, centre, radius,
+            triangles, edges, colour_of, labels, wanted, crossing, lens, centre, radius,
             a, b, begin, listed, share, weight,
         ),
     )  # fmt: skip

@@ -362,7 +362,6 @@ def test_area_of_the_light():
     np.testing.assert_allclose(np.asarray(coverage(scene))[..., 1].sum(), expected, rtol=1e-6)
 
 
-@pytest.mark.xfail(reason="near its corners, the polygon and the sphere are told apart")
 @pytest.mark.parametrize("crossing", [False, True])
 def test_whole_outline_of_the_light_counts(crossing):
     """Moved outwards, every piece of the outline uncovers its own length."""
