@@ -7,30 +7,26 @@ no shaders, and all give the same numbers up to their stated error. To add one, 
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable
+import functools
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from godfit.radial.pairs import pairs
-from godfit.radial.reference import reference
+from godfit.radial.coarse import coarse
+from godfit.radial.exact import EXACT, Method, fastest
+from godfit.radial.merged import merged
+from godfit.radial.polar import polar
+from godfit.radial.quadrature import gauss
 from godfit.taps import Taps
 
-Method = Callable[
-    [Float[Array, "h w"], Float[Array, "2"], Taps, Float[Array, "*points 2"] | None],
-    Float[Array, "*points"],
-]
-
-METHODS: dict[str, Method] = {"reference": reference, "pairs": pairs}
-
-try:
-    from godfit.radial.strips import strips
-except ImportError as error:
-    warnings.warn(f"without numba sums take some ten times as long: {error}", stacklevel=2)
-else:
-    METHODS["strips"] = strips
+METHODS: dict[str, Method] = EXACT | {
+    **{f"merged/{m}": functools.partial(merged, m=m) for m in (2, 4, 8)},
+    "half": functools.partial(coarse, cell=2),
+    "quarter": functools.partial(coarse, cell=4),
+    "polar": polar,
+    **{f"gauss/{nodes}": functools.partial(gauss, nodes=nodes) for nodes in (16, 32)},
+}
 
 __all__ = ["METHODS", "radial_sum"]
 
@@ -53,7 +49,7 @@ def radial_sum(
     - `taps`: where the taps lie and what they weigh.
     - `at`: (..., 2) columns and rows to evaluate at, in pixels of the mask (whole numbers are pixel
       centres, so that these are met exactly); by default every pixel.
-    - `method`: a key of `METHODS`, or `"auto"`: the fastest that serves these taps.
+    - `method`: a key of `METHODS`, or `"auto"`: the fastest exact one that serves these taps.
 
     **Returns:** values shaped like `at` without its last axis ((h, w) by default), then channels.
 
@@ -61,7 +57,7 @@ def radial_sum(
     unknown method or one that cannot serve these taps.
     """
     if method == "auto":
-        method = _best(taps)
+        method = fastest(taps)
     if method not in METHODS:
         raise ValueError(f"method: expected auto or one of {', '.join(METHODS)}, got '{method}'")
     evaluate = METHODS[method]
@@ -71,9 +67,3 @@ def radial_sum(
         return evaluate(mask, light, taps, at)
     channels = [evaluate(mask[..., c], light, taps, at) for c in range(mask.shape[-1])]
     return jnp.stack(channels, axis=-1)
-
-
-def _best(taps: Taps) -> str:
-    if taps.unit != "ray":
-        return "reference"
-    return "strips" if jax.default_backend() == "cpu" and "strips" in METHODS else "pairs"
