@@ -88,18 +88,19 @@ class TestErrors:
             assert worst < 1e-9
 
     def test_one_tap_or_none(self, method):
+        """Where there is nothing to save, what does not resample is exact."""
         for samples in (1, 2):
             taps = convention("dawntime").taps(0.3, 0.9, 0.7, 0.5, samples)[0]
-            rms, worst = levels(SOFT, LIGHTS["on screen"], method, taps)
-            # Where there is little to save, what does not resample is exact.
-            limit = {"half": 9, "quarter": 19, "polar": 4}.get(method, 1e-9)
-            assert worst < limit, rms
+            _, worst = levels(SOFT, LIGHTS["on screen"], method, taps)
+            assert worst < {"half": 9, "quarter": 19, "polar": 4}.get(method, 1e-9)
 
-    @pytest.mark.parametrize("name", [c for c in CONVENTIONS if c != "three"])
-    def test_every_convention(self, method, name):
-        taps = convention(name).taps(0.05, 0.97, 0.8, 0.5, 40)[0]
-        _, worst = levels(SOFT, LIGHTS["on screen"], method, taps)
-        assert worst < (13 if method == "quarter" else 4)
+    def test_every_convention(self, method):
+        for shader in CONVENTIONS.values():
+            # 41 and 40 samples are 40 taps: compiled once.
+            if not shader.box:
+                taps = shader.taps(0.05, 0.97, 0.8, 0.5, 40 + shader.drop)[0]
+                _, worst = levels(SOFT, LIGHTS["on screen"], method, taps)
+                assert worst < (13 if method == "quarter" else 4), shader.name
 
     def test_uv_taps_are_refused(self, method):
         taps = convention("three").taps(1.0, 1.0, 1.0, 1.0, 18)[0]
@@ -155,20 +156,15 @@ def test_merged_taps_keep_two_moments(ratio, count, m):
     np.testing.assert_allclose((few.c * few.t).sum(), (taps.c * taps.t).sum(), rtol=1e-12)
 
 
-DIFFERENTIATED = jax.jit(
-    jax.jacfwd(
-        lambda z, mask, method, count: radial.radial_sum(
-            mask, z[:2], Taps(z[2], z[3], z[4], z[5], count), method=method
-        )
-    ),
-    static_argnames=("method", "count"),
-)
-VALUES = jax.jit(
-    lambda z, mask, method, count: radial.radial_sum(
-        mask, z[:2], Taps(z[2], z[3], z[4], z[5], count), method=method
-    ),
-    static_argnames=("method", "count"),
-)
+def values(z, mask, method):
+    taps = Taps(z[2], z[3], z[4], z[5], 40)
+    out = radial.radial_sum(mask, z[:2], taps, method=method)
+    return out, out
+
+
+VALUES = jax.jit(lambda z, mask, method: values(z, mask, method)[0], static_argnames="method")
+# With the values themselves.
+SLOPES = jax.jit(jax.jacfwd(values, has_aux=True), static_argnames="method")
 
 
 @pytest.mark.parametrize("method", APPROXIMATE)
@@ -177,9 +173,9 @@ def test_forward_is_the_slope_of_the_values(method):
     or an interval between radii that a tap crosses is a kink."""
     for light in LIGHTS.values():
         z = jnp.array([*light, 0.02, 0.021, 0.97, 0.0142])
-        actual = np.asarray(DIFFERENTIATED(z, SOFT, method, 40))
+        actual = np.asarray(SLOPES(z, SOFT, method)[0])
         for i, step in enumerate(1e-7 * np.eye(6)):
-            up, down = VALUES(z + step, SOFT, method, 40), VALUES(z - step, SOFT, method, 40)
+            up, down = VALUES(z + step, SOFT, method), VALUES(z - step, SOFT, method)
             difference = np.asarray(up - down) / 2e-7
             scale = np.abs(actual[..., i]).max()
             # How merged taps' lag moves with the ratio is left out.
@@ -191,8 +187,8 @@ def test_forward_is_the_slope_of_the_values(method):
 def test_reverse_is_forward(method):
     z = jnp.array([*LIGHTS["on screen"], 0.02, 0.021, 0.97, 0.0142])
     pull = jnp.asarray(np.random.default_rng(3).normal(size=SOFT.shape))
-    reverse = jax.jit(jax.grad(lambda z: jnp.vdot(pull, VALUES(z, SOFT, method, 40))))(z)
-    forward = jnp.einsum("hw,hwz->z", pull, DIFFERENTIATED(z, SOFT, method, 40))
+    reverse = jax.jit(jax.grad(lambda z: jnp.vdot(pull, VALUES(z, SOFT, method))))(z)
+    forward = jnp.einsum("hw,hwz->z", pull, SLOPES(z, SOFT, method)[0])
     np.testing.assert_allclose(reverse, forward, rtol=1e-9)
 
 
@@ -202,9 +198,10 @@ def test_finite_at_every_edge(method):
     numbers = ((0.97, 0.0142), (1.0, 0.0142), (0.0, 0.0142), (0.97, 0.0))
     cases = [(SOFT[:11, :13], light, numbers[0]) for light in oracle.LIGHTS.values()]
     cases += [(SOFT[:11, :13], oracle.LIGHTS["texel centre"], pair) for pair in numbers[1:]]
-    for mask in (SOFT[:1, :1], SOFT[:1, :9]):
+    pictures = [SOFT[:1, :1], SOFT[:1, :9]] if method == "polar" else [SOFT[:1, :1]]
+    for mask in pictures:
         cases += [(mask, light, numbers[0]) for light in ((0.5, 0.5), (-0.6, 0.5), (3.0, -2.0))]
     for mask, light, (ratio, step) in cases:
-        z = jnp.array([*light, 0.3, 0.21, ratio, step])
-        assert np.isfinite(VALUES(z, mask, method, 40)).all(), (mask.shape, z)
-        assert np.isfinite(DIFFERENTIATED(z, mask, method, 40)).all(), (mask.shape, z)
+        slopes, out = SLOPES(jnp.array([*light, 0.3, 0.21, ratio, step]), mask, method)
+        assert np.isfinite(out).all(), (mask.shape, light, ratio, step)
+        assert np.isfinite(slopes).all(), (mask.shape, light, ratio, step)
