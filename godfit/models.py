@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Int
 from godfit.parameters import Parameter, table
 from godfit.radial import radial_sum
 from godfit.radial.reference import bilinear
-from godfit.taps import Convention, convention
+from godfit.taps import Convention, Taps, convention
 
 # By coordinate or by parameter; what lives between two calls is kept as a numpy array.
 Vector = Float[Array, " p"] | Float[np.ndarray, " p"]
@@ -166,6 +166,12 @@ class Mitchell(AbstractModel):
         known = [max(exposure, 0.02), max(kappa, 2.0), 0.5, max(gain, 0.05)]
         return np.array(known + [0.5] * 2 * self.light.shape[0])
 
+    @property
+    def taps(self) -> tuple[Taps, ...]:
+        """Those of each of the shader's passes, for every light."""
+        numbers = (self.exposure, self.decay, self.density, self.weight)
+        return self.convention.taps(*numbers, self.samples)
+
     def light_pass(
         self,
         mask: Float[Array, "h w"] | Float[Array, "h w c"],
@@ -175,7 +181,7 @@ class Mitchell(AbstractModel):
         """The scattering pass alone, unclamped: at ``at``, (..., 2) columns and rows of the mask,
         or at every pixel of the mask."""
         shader = self.convention
-        passes = shader.taps(self.exposure, self.decay, self.density, self.weight, self.samples)
+        passes = self.taps
         total = 0.0
         for light in self.light:
             image = 1 - mask if shader.box else mask

@@ -88,6 +88,24 @@ def test_render_with_defaults_background_and_size(disc):
     assert read_image(out).values.shape == (32, 64)
 
 
+def test_render_within_a_tolerance(disc, capsys):
+    mask, folder = disc.parent / "disc_mask.png", disc.parent
+    arguments = ["render", str(mask), "--shader", "dawntime", "--light", "0.5,0.6"]
+    arguments += ["--light", "0.1,0.2", "--exposure", "0.02"]
+    assert main([*arguments, "-o", str(folder / "exact.npy"), "--tolerance", "0"]) == 0
+    exact = read_image(folder / "exact.npy").values
+    for levels in (0.3, 30):
+        out = str(folder / "near.npy")
+        assert main([*arguments, "-o", out, "--tolerance", str(levels)]) == 0
+        assert np.abs(read_image(out).values - exact).max() <= levels / 255
+    assert np.abs(read_image(out).values - exact).max() > 0
+    for bad in ("-1", "nan", "inf", "few"):
+        capsys.readouterr()
+        assert main([*arguments, "-o", str(folder / "x.npy"), "--tolerance", bad]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+    assert not (folder / "x.npy").exists()
+
+
 def test_shaders_lists_every_convention(capsys):
     from godfit import CONVENTIONS
 

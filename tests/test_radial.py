@@ -151,7 +151,5 @@ def test_others_refuse_uv_steps(method):
 
 
 def test_unknown_method():
-    with pytest.raises(
-        ValueError, match="expected auto or one of reference, pairs, strips, got 'fft'"
-    ):
+    with pytest.raises(ValueError, match=r"expected auto or one of reference, pairs, .* got 'fft'"):
         radial_sum(jnp.ones((3, 3)), jnp.array([0.5, 0.5]), TAPS, method="fft")

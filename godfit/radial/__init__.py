@@ -2,78 +2,14 @@
 
 ``radial_sum`` evaluates it by one of several methods. A method is an algorithm: it knows taps and
 no shaders, and all give the same numbers up to their stated error. To add one, write a function
-``f(mask, light, taps, at) -> values`` in a file of its own and name it in ``METHODS``.
+``f(mask, light, taps, at) -> values`` in a file of its own and name it in ``METHODS``. ``error``
+measures a method's error on a mask, and ``cheapest`` finds the cheapest that is exact enough.
 """
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable
+from godfit.radial.exact import EXACT, Method
+from godfit.radial.methods import METHODS, radial_sum
+from godfit.radial.tolerance import cheapest, error
 
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Float
-
-from godfit.radial.pairs import pairs
-from godfit.radial.reference import reference
-from godfit.taps import Taps
-
-Method = Callable[
-    [Float[Array, "h w"], Float[Array, "2"], Taps, Float[Array, "*points 2"] | None],
-    Float[Array, "*points"],
-]
-
-METHODS: dict[str, Method] = {"reference": reference, "pairs": pairs}
-
-try:
-    from godfit.radial.strips import strips
-except ImportError as error:
-    warnings.warn(f"without numba sums take some ten times as long: {error}", stacklevel=2)
-else:
-    METHODS["strips"] = strips
-
-__all__ = ["METHODS", "radial_sum"]
-
-
-def radial_sum(
-    mask: Float[Array, "h w"] | Float[Array, "h w c"],
-    light: Float[Array, "2"],
-    taps: Taps,
-    *,
-    at: Float[Array, "*points 2"] | None = None,
-    method: str = "auto",
-) -> Float[Array, "..."]:
-    """Evaluate the radial sum of ``mask``.
-
-    **Arguments:**
-
-    - `mask`: occlusion mask, (h, w) or (h, w, channels), row 0 at the top; read bilinearly, clamped
-      to its edge.
-    - `light`: (u, v) of the light in texture coordinates, on or off the image.
-    - `taps`: where the taps lie and what they weigh.
-    - `at`: (..., 2) columns and rows to evaluate at, in pixels of the mask (whole numbers are pixel
-      centres, so that these are met exactly); by default every pixel.
-    - `method`: a key of `METHODS`, or `"auto"`: the fastest that serves these taps.
-
-    **Returns:** values shaped like `at` without its last axis ((h, w) by default), then channels.
-
-    Differentiable in `mask`, `light` and `taps`, forward and reverse. Raises ValueError for an
-    unknown method or one that cannot serve these taps.
-    """
-    if method == "auto":
-        method = _best(taps)
-    if method not in METHODS:
-        raise ValueError(f"method: expected auto or one of {', '.join(METHODS)}, got '{method}'")
-    evaluate = METHODS[method]
-    light = jnp.asarray(light, mask.dtype)
-    taps = jax.tree.map(lambda z: jnp.asarray(z, mask.dtype), taps)
-    if mask.ndim == 2:
-        return evaluate(mask, light, taps, at)
-    channels = [evaluate(mask[..., c], light, taps, at) for c in range(mask.shape[-1])]
-    return jnp.stack(channels, axis=-1)
-
-
-def _best(taps: Taps) -> str:
-    if taps.unit != "ray":
-        return "reference"
-    return "strips" if jax.default_backend() == "cpu" and "strips" in METHODS else "pairs"
+__all__ = ["EXACT", "METHODS", "Method", "cheapest", "error", "radial_sum"]

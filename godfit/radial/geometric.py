@@ -55,12 +55,17 @@ def geometric(
 ) -> Float[Array, "*points"]:
     """The radial sum by ``sums``; for a tangent of the mask by ``linear``, which JAX must be able
     to transpose, by default ``sums`` too."""
-    if taps.unit != "ray":
-        raise ValueError("this method serves taps along the ray; use 'reference' for uv taps")
+    along_the_ray(taps)
     numbers = (light, taps.own, taps.first, taps.ratio, taps.step)
     lag = jax.lax.stop_gradient(taps.lag)
     flat = _sum(sums, linear or sums, taps.count, mask, *numbers, lag, at)
     return flat.reshape(mask.shape if at is None else at.shape[:-1])
+
+
+def along_the_ray(taps: Taps) -> None:
+    """Raise ValueError for taps that are not, which only 'reference' serves."""
+    if taps.unit != "ray":
+        raise ValueError("this method serves taps along the ray; use 'reference' for uv taps")
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2))

@@ -8,9 +8,12 @@ Cost: taps x points x 2 reads, about three times that with the derivatives. Erro
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Array, Complex, Float, Int
 
 from godfit.radial.geometric import Numbers, geometric
 from godfit.radial.geometry import points
@@ -20,18 +23,15 @@ from godfit.taps import Taps
 # memory does not grow with the image.
 BLOCK = 1 << 18
 
+Pair = Complex[Array, " points"]
+# Index j (w + 2) + i into a mask with a border of one pixel that repeats the edge (reads outside
+# give the edge's value and slope zero without a test) -> two pairs of neighbours in a row,
+# M[j, i] + i M[j, i+1] and M[j+1, i] + i M[j+1, i+1].
+Read = Callable[[Int[Array, " points"]], tuple[Pair, Pair]]
 
-def _pack(mask: Float[Array, "h w"]) -> Complex[Array, "h2 w2"]:
-    """M[j, i] + i M[j, i+1], with a border of one pixel that repeats the edge: reads outside give
-    the edge's value and slope zero without a test."""
-    padded = jnp.pad(mask, ((1, 1), (1, 2)), mode="edge")
-    return lax.complex(padded[:, :-1], padded[:, 1:])
 
-
-def _sums(packed, x, y, numbers: Numbers, count, slopes):
+def _sums(read_pairs: Read, h, w, x, y, numbers: Numbers, count, slopes):
     """(1 or 4, points) at columns ``x`` and rows ``y`` (points,), in mask pixels."""
-    h, w = packed.shape[0] - 2, packed.shape[1] - 2
-    flat = packed.ravel()
     light_x, light_y, ratio, step, lag = numbers
     # Loop invariants are made once: without the barrier XLA works them out again for every tap.
     x, y, ray_x, ray_y = lax.optimization_barrier((x, y, light_x - x, light_y - y))
@@ -44,8 +44,7 @@ def _sums(packed, x, y, numbers: Numbers, count, slopes):
         row = jnp.clip(y + place * step * ray_y, -1, h - 1)
         i, j = jnp.floor(column), jnp.floor(row)
         index = (j.astype(jnp.int32) + 1) * (w + 2) + (i.astype(jnp.int32) + 1)
-        top = flat.at[index].get(mode="promise_in_bounds")
-        bottom = flat.at[index + (w + 2)].get(mode="promise_in_bounds")
+        top, bottom = read_pairs(index)
         return top, bottom - top, column - i, row - j
 
     def value(total, tap):
@@ -72,9 +71,34 @@ def _sums(packed, x, y, numbers: Numbers, count, slopes):
     taps = (k - lag, weight, weight_r)
     if not slopes:
         return lax.scan(value, jnp.zeros_like(x), taps)[0][None]
-    zero = jnp.zeros_like(x, dtype=packed.dtype)
+    zero = lax.complex(jnp.zeros_like(x), jnp.zeros_like(x))
     a, b = lax.scan(value_and_slopes, (zero, zero), taps)[0]
     return jnp.stack([a.real, b.real, a.imag, b.imag])
+
+
+def gathered_sums(
+    read_pairs: Read,
+    mask: Float[Array, "h w"],
+    numbers: Numbers,
+    count: int,
+    at: Float[Array, "2 points"] | None,
+    slopes: bool,
+) -> Float[Array, "sums points"]:
+    """See ``godfit.radial.geometric.Sums``; of the mask only its size is used."""
+    h, w = mask.shape
+    x, y = (z.reshape(-1) for z in points(h, w, None, mask.dtype)) if at is None else at
+    (size,) = x.shape
+    if size <= BLOCK:
+        return _sums(read_pairs, h, w, x, y, numbers, count, slopes)
+    blocks = -(-size // BLOCK)
+    pad = (0, blocks * BLOCK - size)
+    shaped = [jnp.pad(z, pad).reshape(blocks, BLOCK) for z in (x, y)]
+
+    def block(xy: tuple[jax.Array, jax.Array]) -> jax.Array:
+        return _sums(read_pairs, h, w, *xy, numbers, count, slopes)
+
+    out = lax.map(block, tuple(shaped))
+    return jnp.moveaxis(out, 0, 1).reshape(out.shape[1], -1)[:, :size]
 
 
 def pair_sums(
@@ -85,17 +109,15 @@ def pair_sums(
     slopes: bool,
 ) -> Float[Array, "sums points"]:
     """See ``godfit.radial.geometric.Sums``. Linear in the mask, and JAX can transpose it."""
-    h, w = mask.shape
-    x, y = (z.reshape(-1) for z in points(h, w, None, mask.dtype)) if at is None else at
-    packed = _pack(mask)
-    (size,) = x.shape
-    if size <= BLOCK:
-        return _sums(packed, x, y, numbers, count, slopes)
-    blocks = -(-size // BLOCK)
-    pad = (0, blocks * BLOCK - size)
-    shaped = [jnp.pad(z, pad).reshape(blocks, BLOCK) for z in (x, y)]
-    out = lax.map(lambda xy: _sums(packed, xy[0], xy[1], numbers, count, slopes), tuple(shaped))
-    return jnp.moveaxis(out, 0, 1).reshape(out.shape[1], -1)[:, :size]
+    padded = jnp.pad(mask, ((1, 1), (1, 2)), mode="edge")
+    flat = lax.complex(padded[:, :-1], padded[:, 1:]).ravel()
+    row = mask.shape[1] + 2
+
+    def read(index):
+        top = flat.at[index].get(mode="promise_in_bounds")
+        return top, flat.at[index + row].get(mode="promise_in_bounds")
+
+    return gathered_sums(read, mask, numbers, count, at, slopes)
 
 
 def pairs(

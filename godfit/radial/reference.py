@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from godfit.radial.geometry import points, to_pixels
-from godfit.taps import Taps
+from godfit.taps import Scalar, Taps
 
 
 def bilinear(
@@ -39,6 +39,19 @@ def reference(
     at: Float[Array, "*points 2"] | None,
 ) -> Float[Array, "*points"]:
     """See ``godfit.radial.radial_sum``; serves every kind of taps."""
+    return weighted_sum(mask, light, taps.own, taps.c, taps.t, at, taps.unit)
+
+
+def weighted_sum(
+    mask: Float[Array, "h w"],
+    light: Float[Array, "2"],
+    own: Scalar,
+    c: Float[Array, " count"],
+    t: Float[Array, " count"],
+    at: Float[Array, "*points 2"] | None,
+    unit: str = "ray",
+) -> Float[Array, "*points"]:
+    """The sum over taps of any weights ``c`` at any places ``t``."""
     h, w = mask.shape
     x, y = points(h, w, at, mask.dtype)
     light_x, light_y = to_pixels(light, h, w)
@@ -46,16 +59,16 @@ def reference(
     # A step in texture coordinates is a fraction step / |l - x| of the ray. At the light itself the
     # ray has no direction; the guard keeps its derivative finite.
     squared = (ray_x / w) ** 2 + (ray_y / h) ** 2
-    length = jnp.sqrt(jnp.where(squared > 0, squared, 1.0)) if taps.unit == "uv" else 1.0
+    length = jnp.sqrt(jnp.where(squared > 0, squared, 1.0)) if unit == "uv" else 1.0
 
     def tap(total, ct):
         c, t = ct
         fraction = t / length
         value = c * bilinear(mask, x + fraction * ray_x, y + fraction * ray_y)
-        if taps.unit == "uv":
+        if unit == "uv":
             value = jnp.where((fraction <= 1) & (squared > 0), value, 0.0)
         return total + value, None
 
-    own = taps.own * bilinear(mask, x, y)
-    total, _ = jax.lax.scan(tap, own, (taps.c, taps.t))
+    own = own * bilinear(mask, x, y)
+    total, _ = jax.lax.scan(tap, own, (c, t))
     return total

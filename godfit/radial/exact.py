@@ -1,0 +1,46 @@
+"""The fastest exact method on this machine, which approximations also build on."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+
+import jax
+from jaxtyping import Array, Float
+
+from godfit.radial.packed import packed
+from godfit.radial.pairs import pairs
+from godfit.radial.reference import reference
+from godfit.taps import Taps
+
+Method = Callable[
+    [Float[Array, "h w"], Float[Array, "2"], Taps, Float[Array, "*points 2"] | None],
+    Float[Array, "*points"],
+]
+
+# Exact: reference for every mask and taps, packed for 8-bit masks.
+EXACT: dict[str, Method] = {"reference": reference, "pairs": pairs, "packed": packed}
+
+try:
+    from godfit.radial.strips import strips
+except ImportError as error:
+    warnings.warn(f"without numba sums take some ten times as long: {error}", stacklevel=2)
+else:
+    EXACT["strips"] = strips
+
+
+def fastest(taps: Taps) -> str:
+    """Name of the fastest exact method that serves ``taps``."""
+    if taps.unit != "ray":
+        return "reference"
+    return "strips" if jax.default_backend() == "cpu" and "strips" in EXACT else "pairs"
+
+
+def exact(
+    mask: Float[Array, "h w"],
+    light: Float[Array, "2"],
+    taps: Taps,
+    at: Float[Array, "*points 2"] | None,
+) -> Float[Array, "*points"]:
+    """See ``godfit.radial.radial_sum``."""
+    return EXACT[fastest(taps)](mask, light, taps, at)
