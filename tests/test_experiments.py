@@ -1,0 +1,77 @@
+"""What the experiments compare with computes the same sum, and what they measure does its work."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
+
+import peers
+import scaling
+
+SAMPLES = 20
+
+
+@pytest.fixture
+def mask():
+    return (np.random.default_rng(3).random((13, 17)) > 0.5).astype(float)
+
+
+@pytest.fixture
+def expected(mask):
+    return np.asarray(peers.godfit_forward(mask, SAMPLES, "reference")(peers.TRUTH))
+
+
+@pytest.mark.parametrize("forward", [peers.scipy_forward, peers.numba_forward])
+def test_peers_in_float64(forward, mask, expected):
+    np.testing.assert_allclose(forward(mask, SAMPLES)(peers.TRUTH), expected, atol=1e-14)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch is not installed")
+@pytest.mark.parametrize("chunk", [1, 7, 50])
+def test_torch(mask, expected, chunk):
+    import torch
+
+    found = peers.torch_forward(mask, SAMPLES, chunk)(torch.tensor(peers.TRUTH).float())
+    np.testing.assert_allclose(found.numpy(), expected, atol=1e-6)
+
+
+def test_watch_stops_at_the_first_point_that_is_near_enough():
+    watch = peers.Watch(tolerance=1e-3, budget=60.0)
+    watch(peers.START)
+    assert watch.evaluations == 1
+    with pytest.raises(peers.Arrived):
+        watch(peers.TRUTH + 1e-3 * peers.UNITS / 2)
+    assert watch.error == pytest.approx(5e-4)
+
+
+def test_least_squares_recovers(mask):
+    truth = dict(zip(peers.NAMES, peers.TRUTH, strict=True)) | {"samples": 150}
+    target = np.floor(peers.scenes.render64(mask, truth) * 255 + 0.5).astype(np.uint8)
+    problem = peers.Problem(mask, target, 150)
+    forward = peers.numba_forward(mask, 150)
+    run = peers.timed(lambda watch: peers.least_squares(forward, problem, watch), 0.1, 5.0)
+    assert run.arrived
+    assert run.evaluations > 1
+
+
+def test_cores_are_shared_out():
+    assert scaling.shares([0, 1, 2], 2) == [[0, 2], [1]]
+    assert scaling.shares([4, 5], 3) == [[4], [5], [4]]
+
+
+def test_measured_kernels():
+    source, target = np.arange(6, dtype=np.float32).reshape(2, 3), np.zeros((2, 3), np.float32)
+    scaling.copy(source, target, 2)
+    np.testing.assert_array_equal(target, source)
+    values = np.full((2, 64), 3, np.float32)
+    scaling.multiply_add(values, 5)
+    np.testing.assert_allclose(values, 1 + 2 * 0.999**5, rtol=1e-6)
+
+
+def test_exact_methods_are_told():
+    mask = (np.random.default_rng(3).random((16, 16)) > 0.5).astype(float)
+    assert {"reference", "pairs"} <= set(scaling.exact(mask))
