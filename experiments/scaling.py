@@ -241,13 +241,14 @@ def draw(rate: float, memory: float, cache: float, points, path: str) -> None:
         axes.plot(intensity, height, style, color="black", lw=1, label=label)
     whole = OPERATIONS / (8 * SIZE**2)
     axes.axvline(whole, color="silver", lw=1)
-    axes.text(whole, rate / 1e9 / 300, "mask and picture once ", ha="right", fontsize=8)
+    axes.text(whole, rate / 1e10, "mask and picture once ", ha="right", fontsize=8)
     for method, kind, at, reached in points:
         colour = f"C{sorted(METHODS).index(method)}"
         face = colour if kind == "noise" else "none"
         axes.plot(at, reached / 1e9, "o", color=colour, markerfacecolor=face)
-        name = f"  {method}" + ("" if kind == "noise" else ", mostly flat mask")
-        axes.text(at, reached / 1e9, name, va="center", fontsize=8, color=colour)
+        name = f"  {method}" + ("" if kind == "noise" else ", flat in parts")
+        above = "bottom" if method == "reference" else "top"
+        axes.text(at, reached / 1e9, name, va=above, fontsize=8, color=colour)
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel("least operations / bytes read")
