@@ -364,7 +364,9 @@ def timed(solve: Solve, tolerance: float, budget: float) -> Run:
 
 
 def problem_of(size: int, samples: int) -> Problem:
-    mask = scenes.triangles(np.random.default_rng(5), size, TRUTH[4:])
+    # Rounding to bytes moves where the least squares lie, by .0004 in this picture; where the mask
+    # has few edges it is .01, almost all in how exposure and weight share what they do.
+    mask = scenes.maze(np.random.default_rng(7), size, TRUTH[4:])
     mask = np.floor(mask * 255 + 0.5) / 255
     truth = dict(zip(NAMES, TRUTH.tolist(), strict=True)) | {"samples": float(samples)}
     return Problem(mask, scenes.to_bytes(scenes.render64(mask, truth)), samples)
@@ -377,7 +379,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", default=[""], help="words of the peers' names")
     parser.add_argument("--size", type=int, default=512)
     parser.add_argument("--samples", type=int, default=150)
-    parser.add_argument("--tolerance", type=float, default=3e-3)
+    parser.add_argument("--tolerance", type=float, default=2e-3)
     parser.add_argument("--budget", type=float, default=600, help="seconds for each run")
     parser.add_argument("--figure")
     options = parser.parse_args()

@@ -7,9 +7,9 @@ pixels that a contour crosses, the worst of those further than a pixel from ever
 worst relative error of the area of a colour that has a hundredth of the picture; and the ten
 derivatives of a smooth loss with respect to the places of the light, the camera and an object and
 the light's radius, against central differences of the samples: the length of the difference over
-that of the gradient. A step is a quarter of a pixel: what an object uncovers within it is an error
-of the differences, and shrinks with the pixels. Coverage is exact: there is no width of an edge to
-choose or to compare.
+that of the gradient. A step is a quarter of a pixel, or an eighth below 128x128: what an object
+uncovers within it is an error of the differences, and shrinks with the pixels. Coverage is exact:
+there is no width of an edge to choose or to compare.
 
 Times are medians of warm runs, taken in turn, float32: an icosphere before the light, and the skull
 of ../shared where it is there; nine numbers of the pose have a derivative.
@@ -63,7 +63,9 @@ def sampled_loss(scene: Scene) -> float:
 def gradient_error(scene: Scene) -> float:
     """Relative, of the whole gradient."""
     found, actual, expected = gradient(scene), [], []
-    step = 0.25 * stages.pixel(scene.size[0])
+    # In a quarter of a pixel, eight samples, their rounding is a few thousandths of the gradient. In
+    # small pictures what moves into sight within a step weighs more, and a shorter one errs less.
+    step = (0.125 if scene.size[0] < 128 else 0.25) * stages.pixel(scene.size[0])
     for name in POSE:
         value = np.asarray(scene.value(name), float)
         actual += np.asarray(found.value(name)).ravel().tolist()

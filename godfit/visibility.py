@@ -634,7 +634,7 @@ def _cross(
 ):  # fmt: skip
     """A cell in which surfaces may pass through each other: its first and last colour, with the
     place where they change found by bisection."""
-    # The light's outline is a polygon, a few thousandths of a pixel beside the sphere.
+    # A little inside, where surfaces that meet at the border are told apart by more than rounding.
     inset = min(0.25 * (end - begin), 0.01)
     a, b = begin + inset, end - inset
     one = colour_of[

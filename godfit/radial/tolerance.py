@@ -116,7 +116,7 @@ def costs(h: int, w: int, count: int) -> dict[str, float]:
     """What each method costs, in taps of the fastest exact one at every pixel."""
     compiled = fastest(Taps(0.0, 0.0, 0.0, 0.0, count)) == "strips"
     # To read a small picture back; a gathered tap; a multiplication in a matrix.
-    grow, gather, multiply = (20.0, 12.0, 0.7) if compiled else (1.0, 1.0, 0.02)
+    grow, gather, multiply = (40.0, 12.0, 0.6) if compiled else (1.0, 1.0, 0.02)
     radii = math.hypot(h, w) / math.sqrt(2)
     found = {
         "reference": 1.5 * gather * count,
@@ -124,7 +124,7 @@ def costs(h: int, w: int, count: int) -> dict[str, float]:
         "packed": 0.7 * gather * count,
         "half": count / 4 + grow,
         "quarter": count / 16 + grow,
-        "polar": 3 * grow + multiply * radii,
+        "polar": 2 * grow + multiply * radii,
         **{f"merged/{m}": float(-(-count // m)) for m in (2, 4, 8)},
         **{f"gauss/{n}": 1.5 * gather * min(n, count) for n in (16, 32)},
     }
