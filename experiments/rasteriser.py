@@ -63,8 +63,8 @@ def sampled_loss(scene: Scene) -> float:
 def gradient_error(scene: Scene) -> float:
     """Relative, of the whole gradient."""
     found, actual, expected = gradient(scene), [], []
-    # In a quarter of a pixel, eight samples, their rounding is a few thousandths of the gradient. In
-    # small pictures what moves into sight within a step weighs more, and a shorter one errs less.
+    # Over a quarter of a pixel, eight samples, their rounding is a few thousandths of the gradient.
+    # In small pictures what comes into sight within a step weighs more: a shorter one errs less.
     step = (0.125 if scene.size[0] < 128 else 0.25) * stages.pixel(scene.size[0])
     for name in POSE:
         value = np.asarray(scene.value(name), float)
