@@ -93,7 +93,7 @@ def _off_streaks(
 def _residual(picture: Picture, model: Mitchell, z: np.ndarray, held: np.ndarray) -> np.ndarray:
     """(h, w, c) target minus fitted in levels, 0 where it says nothing."""
     fitted = picture.rendered(model.moved(jnp.asarray(z), jnp.asarray(held)))
-    known = picture.valid & ~picture.clipped()
+    known = picture.valid & ~picture.clipped
     return np.where(known[..., None], picture.levels - fitted, 0.0)
 
 
@@ -143,7 +143,7 @@ class _Doubt:
         residual = _residual(picture, model, z, held)
         channels, size = residual.shape[-1], self.hard.shape[:2]
         # Where the target or the picture is clipped, streaks are not to be seen.
-        seen = picture.valid & ~picture.clipped()
+        seen = picture.valid & ~picture.clipped
         seen &= (picture.rendered(fitted) < LEVELS).all(-1)
         seen = shrink(seen.astype(np.float32), size).reshape(-1, 1) == 1
         residual = np.where(seen, shrink(residual, size).reshape(-1, channels), 0.0)

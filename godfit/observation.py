@@ -95,7 +95,7 @@ class Picture:
             return shrink(image, (h, w))
 
         # A cell that is clipped in part has a mean that says nothing.
-        clipped = smaller(self.clipped().astype(np.float32))
+        clipped = smaller(self.clipped.astype(np.float32))
         valid = (smaller(self.valid.astype(np.float32)) == 1) & ((clipped == 0) | (clipped == 1))
         return dataclasses.replace(
             self,
@@ -122,6 +122,7 @@ class Picture:
         hi = np.where(t > LEVELS - self.half, np.inf, t + self.half)
         return lo.astype(np.float32), hi.astype(np.float32)
 
+    @functools.cached_property
     def clipped(self) -> np.ndarray:
         """(h, w): pixels at the top of the scale in some channel."""
         return np.any(self.levels >= LEVELS - self.half, -1) & np.bool_(self.half > 0)
@@ -135,9 +136,10 @@ class Picture:
         else:
             smooth = blurred(self.levels, blur).reshape(-1, self.channels)[pixels]
             lo, hi = smooth - max(self.half, 0.5), smooth + max(self.half, 0.5)
-            clipped = self.clipped()
-            if clipped.any():
-                near = blurred(clipped.astype(np.float32), blur).reshape(-1)[pixels, None] > 0.01
+            if self.clipped.any():
+                near = (
+                    blurred(self.clipped.astype(np.float32), blur).reshape(-1)[pixels, None] > 0.01
+                )
                 lo, hi = np.where(near, -np.inf, lo), np.where(near, np.inf, hi)
             lo, hi = lo.astype(np.float32), hi.astype(np.float32)
             mask = blurred(mask, blur * mask.shape[0] / self.size[0])
@@ -190,7 +192,7 @@ class Picture:
         scale = max(1.0, max(small.size) / 256)
         down, along = np.gradient(ndimage.gaussian_filter(bright, scale))
         slope = np.hypot(down, along)
-        slope[small.clipped()] = 0
+        slope[small.clipped] = 0
         if small is not self:
             (h, w), (rows, columns) = self.size, small.size
             slope = slope[np.arange(h) * rows // h][:, np.arange(w) * columns // w]
@@ -242,6 +244,8 @@ def blurred(image: np.ndarray, sigma: float) -> np.ndarray:
     By a tent, two boxes, whose cost does not grow with its width: which blur it is does not matter
     to those who blur two images alike."""
     width = 2 * round((math.sqrt(6 * sigma**2 + 1) - 1) / 2) + 1
+    if image.ndim == 3:
+        return np.stack([blurred(image[..., c], sigma) for c in range(image.shape[-1])], -1)
     for _ in range(2):
-        image = ndimage.uniform_filter(image, width, mode="nearest", axes=(0, 1))
+        image = ndimage.uniform_filter(image, width, mode="nearest")
     return image

@@ -22,7 +22,6 @@ from godfit.image import decode
 from godfit.models import Mitchell
 from godfit.observation import LEVELS, Picture, grey, shrink
 from godfit.radial.geometry import to_pixels
-from godfit.radial.reference import bilinear
 
 SIZE = 64
 STEPS = 48
@@ -52,13 +51,18 @@ def light_grid(target: np.ndarray, seed: int) -> np.ndarray:
 def _rays(
     mask: Float[Array, "h w"], light: Float[Array, "lights 2"], at: Float[Array, "points 2"]
 ) -> Float[Array, "lights steps points"]:
-    """Mask along the ray from every point to every light, at the middles of STEPS equal steps."""
-    x, y = at[:, 0], at[:, 1]
+    """Mask along the ray from every point to every light, at the middles of STEPS equal steps, from
+    the nearest texels: good enough for ``mask`` of twice the resolution that ``at`` is in."""
+    h, w = mask.shape
+    x, y = 2 * at[:, 0] + 0.5, 2 * at[:, 1] + 0.5
     t = (jnp.arange(STEPS, dtype=mask.dtype)[:, None] + 0.5) / STEPS
+    flat = mask.ravel()
 
     def one(light):
-        light_x, light_y = to_pixels(light, *mask.shape)
-        return bilinear(mask, x[None] + t * (light_x - x)[None], y[None] + t * (light_y - y)[None])
+        light_x, light_y = to_pixels(light, h, w)
+        column = jnp.clip(jnp.round(x[None] + t * (light_x - x)[None]), 0, w - 1)
+        row = jnp.clip(jnp.round(y[None] + t * (light_y - y)[None]), 0, h - 1)
+        return flat.at[(row * w + column).astype(jnp.int32)].get(mode="promise_in_bounds")
 
     return lax.map(one, light)
 
@@ -139,7 +143,8 @@ def starts(
         scale = shader.gain
         own = ndimage.map_coordinates(mask, at[:, ::-1].T, order=1, mode="nearest")
         own = own * np.float32(lights * shader.own)
-        rays = _rays(jnp.asarray(mask), jnp.asarray(places), jnp.asarray(at))
+        fine = ndimage.zoom(mask, 2, order=1, mode="nearest", grid_mode=True)
+        rays = _rays(jnp.asarray(fine), jnp.asarray(places), jnp.asarray(at))
     groups = np.arange(len(places))[:, None]
     if lights > 1:
         groups = _best_groups(rays, jnp.asarray(along), own, goal, trust, lights, required)
@@ -182,7 +187,7 @@ def _light_pass(picture: Picture, model: Mitchell) -> tuple[np.ndarray, np.ndarr
             light = (light - back) / np.maximum(1 - back, 0.05)
         else:
             light = light - np.float32(shader.background_gain) * back
-    trust = shrink((picture.valid & ~picture.clipped()).astype(np.float32), (SIZE, SIZE))
+    trust = shrink((picture.valid & ~picture.clipped).astype(np.float32), (SIZE, SIZE))
     return shrink(light.mean(-1), (SIZE, SIZE)), (trust > 0.99).astype(np.float32)
 
 

@@ -33,7 +33,7 @@ WALLS = 1 << 14
 # Gain in log-likelihood for which pixels are not rendered again: kinks of the mask make it jump by
 # as much between one float32 and the next.
 SHORT = 4.0
-SIGMA_VALUES = 1 << 13
+SIGMA_VALUES = 1 << 12
 SIGMAS = (0.005 * 3.0 ** np.arange(10)).astype(np.float32)
 
 
@@ -56,7 +56,7 @@ def best_sigma(prediction: np.ndarray, seen: Observation) -> tuple[float, float]
     """Noise in levels that makes the pixels likeliest, and their log-likelihood.
 
     A grid of sigmas is refined by finer ones about its best, on a part of the pixels that is
-    enough to know sigma to a percent.
+    enough to know sigma to some percent.
     """
     values, whole = (prediction, seen.lo, seen.hi), True
     if prediction.shape[0] > SIGMA_VALUES:
@@ -64,8 +64,8 @@ def best_sigma(prediction: np.ndarray, seen: Observation) -> tuple[float, float]
         part = np.random.default_rng(0).integers(0, prediction.shape[0], SIGMA_VALUES)
         values, whole = tuple(np.asarray(z)[part] for z in values), False
     sigmas, ratio = SIGMAS, SIGMAS[1] / SIGMAS[0]
-    for _ in range(4):
-        found = np.asarray(_log_likelihoods(*values, sigmas))
+    for _ in range(3):
+        found = np.asarray(_log_likelihoods(*values, sigmas), np.float64)
         at = int(np.nanargmax(found))
         best, likelihood = float(sigmas[at]), float(found[at])
         ratio **= 0.25

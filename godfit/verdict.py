@@ -96,7 +96,7 @@ def verdict(
         rmse_levels=rmse,
         psnr_db=float(20 * np.log10(LEVELS / max(rmse, 1e-6))),
         pixels=len(pixels),
-        pixels_clipped=int((picture.clipped() & picture.valid).sum()),
+        pixels_clipped=int((picture.clipped & picture.valid).sum()),
         residual_correlation=left.correlation,
         residual_tails=left.tails,
         log_likelihood=settled.log_likelihood,
