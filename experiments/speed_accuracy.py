@@ -240,11 +240,11 @@ def draw(chart, by_size, by_samples, path: str) -> None:
             at.plot(x, y, marker, color=color, ms=7, mfc=color if on else "w")
         label(at, shown)
         at.set_xscale("log")
-        ticks(at.xaxis, [x for x, _ in shown.values()])
-        at.set(
-            title=f"{kind}, 512x512, n = 150", xlabel="time, ms", ylabel="PSNR, dB", ylim=(15, 122)
-        )
-        at.margins(x=0.12)
+        # Room for names on both sides.
+        times = [x for x, _ in shown.values()]
+        ticks(at.xaxis, times)
+        at.set(xlim=(min(times) / 3, max(times) * 1.8), ylim=(15, 122))
+        at.set(title=f"{kind}, 512x512, n = 150", xlabel="time, ms", ylabel="PSNR, dB")
         at.grid(color="0.92")
     pixels = [SIZES[s][0] * SIZES[s][1] for s in by_size]
     for at, x, columns, title, xlabel, names in (
@@ -260,6 +260,10 @@ def draw(chart, by_size, by_samples, path: str) -> None:
         at.set(title=title, xlabel=xlabel, ylabel="time, ms")
         at.set_xticks(x, [str(n) for n in x] if names is None else list(by_size))
         at.set_xticks([], minor=True)
+        times = [1000 * r[0] for c in columns.values() for r in c.values()]
+        ticks(at.yaxis, times)
+        # Room for the legend.
+        at.set_ylim(min(times) / 1.5, 8 * max(times))
         at.grid(color="0.92")
         at.legend(fontsize=7, ncols=2)
     figure.savefig(path, dpi=100)
@@ -274,19 +278,21 @@ def ticks(axis, values) -> None:
 
 
 def label(at, shown: dict[str, tuple[float, float]]) -> None:
-    """Names beside the points; those of exact methods, all at one height, in turn above and
-    below."""
+    """Names beside the points: those of merged taps to the left, out of the others' way; those of
+    exact methods, all at one height, in turn above and below."""
     turn = 0
     for name, (x, y) in sorted(shown.items(), key=lambda item: item[1]):
         if y >= EXACT_DB:
             turn += 1
-            where, across, up = (
-                (0, 7 if turn % 2 else -7),
-                "center",
-                "bottom" if turn % 2 else "top",
-            )
+            above = turn % 2 == 1
+            # The first below is the left one.
+            across = "center" if above else "right" if turn == 2 else "left"
+            shift = 0 if above else 10 if turn == 2 else -10
+            where, up = (shift, 7 if above else -7), "bottom" if above else "top"
+        elif name.startswith("merged"):
+            where, across, up = (-7, 2), "right", "bottom"
         else:
-            where, across, up = (7, 0), "left", "center"
+            where, across, up = (7, -1), "left", "top"
         at.annotate(name, (x, y), where, textcoords="offset points", ha=across, va=up, fontsize=8)
 
 
