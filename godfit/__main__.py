@@ -5,6 +5,7 @@ Nothing here imports JAX before a command runs, so that help and usage errors co
 
 from __future__ import annotations
 
+import threading
 import time
 
 STARTED = time.perf_counter()
@@ -139,6 +140,11 @@ def folder_for(target: str, output: str | None) -> Path:
 SHADER_HELP = "Shader convention; see `godfit shaders`. [default: mitchell]"
 
 
+def load_drawing() -> None:
+    import matplotlib.backends.backend_agg
+    import matplotlib.figure  # noqa: F401
+
+
 @cli.command()
 @click.argument("target")
 @click.option("--mask", help="Occlusion mask that the scattering pass reads.")
@@ -226,6 +232,8 @@ def fit(
         shader = convention(said.get("shader", "mitchell"))
         if "samples" not in said and "samples" not in shader.defaults and not quiet:
             warn(f"{shader.name} publishes no default: {shader.samples} samples assumed")
+        # Loaded while compiled programs run, which need the interpreter little.
+        threading.Thread(target=load_drawing, daemon=True).start()
         result = run(
             image, free=free, fix=fixed, start=started, valid=valid, seed=seed,
             progress=progress, **options,
@@ -460,13 +468,11 @@ def run() -> None:
     """The ``godfit`` command."""
     signal.signal(signal.SIGINT, _interrupt)
     status = main()
-    if status == INTERRUPTED:
-        # Compiled programs may still be running: an orderly end would pull the memory from under
-        # them.
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(status)
-    sys.exit(status)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    # An orderly end takes a third of a second, and would pull the memory from under compiled
+    # programs that an interrupt has left running.
+    os._exit(status)
 
 
 if __name__ == "__main__":
