@@ -3,8 +3,7 @@
 Neighbouring taps read nearly the same, so ceil(K/m) taps stand for K. They are geometric taps
 themselves, with weights and places such that the sum of the weights and their centroid over the ray
 are those of all K taps: the ends of the ray are corrected for, where a plain change of (decay,
-weight, samples) is off by a tap's length (the remedy of shaders that count their samples; Mitchell,
-GPU Gems 3, ch. 13, discusses the banding that they trade for it).
+weight, samples; Mitchell, GPU Gems 3, ch. 13) is off by a tap's length.
 
 Cost: that of the exact sum over m. Error: banding, which falls as m/K on hard edges and as its
 square on soft masks. Derivatives are those of the merged sum, but for how the lag moves with the
