@@ -38,7 +38,9 @@ class Observation(eqx.Module):
 
     def predict(self, model: AbstractModel) -> Float[Array, " m"]:
         """Levels of the model's image before rounding, (pixels x channels,)."""
-        image = model(self.mask, self.background, size=self.size, pixels=self.pixels)
+        # All of them are what comes without asking: no index is needed.
+        some = None if self.pixels.shape[0] == self.size[0] * self.size[1] else self.pixels
+        image = model(self.mask, self.background, size=self.size, pixels=some)
         image = image.reshape(self.pixels.shape[0], -1)
         image = jnp.broadcast_to(image, (self.pixels.shape[0], self.channels))
         return LEVELS * encode(image, self.transfer).reshape(-1)
@@ -137,9 +139,7 @@ class Picture:
             smooth = blurred(self.levels, blur).reshape(-1, self.channels)[pixels]
             lo, hi = smooth - max(self.half, 0.5), smooth + max(self.half, 0.5)
             if self.clipped.any():
-                near = (
-                    blurred(self.clipped.astype(np.float32), blur).reshape(-1)[pixels, None] > 0.01
-                )
+                near = self._share_clipped(pixels, round(2 * blur))[:, None] > 0.01
                 lo, hi = np.where(near, -np.inf, lo), np.where(near, np.inf, hi)
             lo, hi = lo.astype(np.float32), hi.astype(np.float32)
             mask = blurred(mask, blur * mask.shape[0] / self.size[0])
@@ -154,6 +154,22 @@ class Picture:
             self.channels,
             self.transfer,
         )
+
+    def _share_clipped(self, pixels: np.ndarray, reach: int) -> np.ndarray:
+        """(n,) share of clipped pixels among those within ``reach`` of ``pixels``."""
+        h, w = self.size
+        row, column = pixels // w, pixels % w
+        top, bottom = np.maximum(row - reach, 0), np.minimum(row + reach + 1, h)
+        left, right = np.maximum(column - reach, 0), np.minimum(column + reach + 1, w)
+        table = self._clipped_table
+        count = table[bottom, right] - table[top, right] - table[bottom, left] + table[top, left]
+        return count / ((bottom - top) * (right - left))
+
+    @functools.cached_property
+    def _clipped_table(self) -> np.ndarray:
+        """(h + 1, w + 1) clipped pixels above and to the left."""
+        counts = self.clipped.cumsum(0, dtype=np.int32).cumsum(1, dtype=np.int32)
+        return np.pad(counts, ((1, 0), (1, 0)))
 
     def rendered(self, model: AbstractModel) -> np.ndarray:
         """(h, w, c) levels of the model's whole image, clamped to the scale, not rounded."""

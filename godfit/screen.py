@@ -64,7 +64,7 @@ def _rays(
         row = jnp.clip(jnp.round(y[None] + t * (light_y - y)[None]), 0, h - 1)
         return flat.at[(row * w + column).astype(jnp.int32)].get(mode="promise_in_bounds")
 
-    return lax.map(one, light)
+    return jax.vmap(one)(light)
 
 
 @eqx.filter_jit

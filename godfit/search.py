@@ -21,7 +21,7 @@ from godfit.solver import Point, linearise, scales, solve, solve_tangent
 
 PIXELS = 2048
 # What is blurred needs fewer.
-BLURRED_PIXELS = 512
+BLURRED_PIXELS = 256
 # Blur (as a share of the longer side), starts kept, sigma in levels.
 LADDER = ((1 / 64, 3, 4.0), (1 / 128, 2, 2.0), (1 / 256, 1, 1.0), (1 / 512, 1, 1.0))
 # Noise below this many levels means that even the rounding of every pixel is explained.
@@ -213,4 +213,4 @@ def _near_walls(prediction: np.ndarray, lo: np.ndarray, hi: np.ndarray) -> np.nd
     if len(prediction) <= count:
         return slice(None)
     slack = np.minimum(prediction - lo, hi - prediction)
-    return np.sort(np.argpartition(slack, count)[:count])
+    return np.argpartition(slack, count)[:count]
