@@ -34,6 +34,8 @@ from godfit.solver import solve
 CORRECTIONS = 3
 # A dip of density is about 1/samples wide.
 FAR_VALUES = 400
+# Pixels that are enough to see where the dips are.
+SCAN_PIXELS = 1 << 10
 # Dips either way that are looked into on more pixels, and how many of them are tried.
 RIVAL_PIXELS, RIVAL_DIPS, RIVALS = 1 << 14, 6, 2
 # Log-likelihood on the subset by which a point may fall behind and still be tried on all pixels.
@@ -262,6 +264,7 @@ def reseed(
     pixels = picture.informative(PIXELS, seed)
     seen = picture.observe(pixels)
     smooth = picture.observe(pixels, LADDER[1][0] * max(picture.size))
+    scanned = picture.observe(picture.informative(SCAN_PIXELS, seed))
     lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
     at = start.coordinates
     here = at[along]
@@ -284,7 +287,7 @@ def reseed(
     begun: list[np.ndarray] = []
     for line in lines:
         costs = np.asarray(
-            _costs(jnp.asarray(line, jnp.float32), held, model, seen, jnp.float32(sigma))
+            _costs(jnp.asarray(line, jnp.float32), held, model, scanned, jnp.float32(sigma))
         )
         costs = np.where(np.isfinite(costs), costs, np.inf)
         around = np.pad(costs, 1, constant_values=np.inf)

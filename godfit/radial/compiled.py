@@ -20,7 +20,7 @@ HIGH, WIDE = 32, 64
 # Side of the cells that are known to be flat or not.
 CELL = 8
 # Points that are summed side by side.
-GROUP = 16
+GROUP = 32
 _compiled = njit(
     cache=numba_keeps(), nogil=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"}
 )
@@ -162,18 +162,20 @@ def _rows(mask, flat, numbers, count, begin, out):
 def _scattered(mask, at, numbers, count, out):
     """``out`` (1 or 4, 1, points) at columns and rows ``at`` (2, points)."""
     real = mask.dtype.type
-    one = np.uint64(1)
+    texels, next_row, one = mask.reshape(-1), np.uint64(mask.shape[1]), np.uint64(1)
     light_x, light_y, ratio, step, lag = _doubles(numbers)
     last_row, last_column = mask.shape[0] - 3.0, mask.shape[1] - 4.0
+    sums, points = out.shape[0], out.shape[2]
     if not np.isfinite(numbers).all():
         out[:] = np.nan
         return
     total = np.empty((4, GROUP), mask.dtype)
     x, y = np.empty(GROUP), np.empty(GROUP)
-    for begin in range(0, at.shape[1], GROUP):
-        size = min(GROUP, at.shape[1] - begin)
+    texel = np.empty(GROUP, np.uint64)
+    across, down = np.empty(GROUP, mask.dtype), np.empty(GROUP, mask.dtype)
+    for begin in range(0, points, GROUP):
         for p in range(GROUP):
-            x[p], y[p] = at[0, begin + min(p, size - 1)], at[1, begin + min(p, size - 1)]
+            x[p], y[p] = at[0, min(begin + p, points - 1)], at[1, min(begin + p, points - 1)]
         total[:] = 0
         weight, before = 1.0, 0.0
         for k in range(1, count + 1):
@@ -185,18 +187,29 @@ def _scattered(mask, at, numbers, count, out):
                 column = _clip(x[p] + t * (light_x - x[p]), last_column)
                 row = _clip(y[p] + t * (light_y - y[p]), last_row)
                 i, j = np.floor(column), np.floor(row)
-                fx, fy = real(column - i), real(row - j)
-                a, b = np.uint64(j + 1), np.uint64(i + 1)
-                top, top_slope = mask[a, b], mask[a, b + one] - mask[a, b]
-                low, low_slope = mask[a + one, b], mask[a + one, b + one] - mask[a + one, b]
-                upper, lower = top + fx * top_slope, low + fx * low_slope
-                value = upper + fy * (lower - upper)
+                texel[p] = np.uint64((j + 1) * mask.shape[1] + (i + 1))
+                across[p], down[p] = real(column - i), real(row - j)
+            if sums == 1:
+                for p in range(GROUP):
+                    n, f = texel[p], across[p]
+                    upper = texels[n] + f * (texels[n + one] - texels[n])
+                    n += next_row
+                    lower = texels[n] + f * (texels[n + one] - texels[n])
+                    total[0, p] += c * (upper + down[p] * (lower - upper))
+                continue
+            for p in range(GROUP):
+                n, f = texel[p], across[p]
+                top, top_slope = texels[n], texels[n + one] - texels[n]
+                n += next_row
+                low, low_slope = texels[n], texels[n + one] - texels[n]
+                upper, lower = top + f * top_slope, low + f * low_slope
+                value = upper + down[p] * (lower - upper)
                 total[0, p] += c * value
                 total[1, p] += c_r * value
-                total[2, p] += c_t * (top_slope + fy * (low_slope - top_slope))
+                total[2, p] += c_t * (top_slope + down[p] * (low_slope - top_slope))
                 total[3, p] += c_t * (lower - upper)
-        for s in range(out.shape[0]):
-            for p in range(size):
+        for s in range(sums):
+            for p in range(min(GROUP, points - begin)):
                 out[s, 0, begin + p] = total[s, p]
 
 
