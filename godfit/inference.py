@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from godfit.likelihood import interval
@@ -15,6 +15,8 @@ from godfit.search import Settled, Tangent
 # Beyond these, noise is no explanation of what is left.
 MAX_TAILS = 3.5
 MAX_CORRELATION = 0.3
+# Values that are worked on together, so that memory does not grow with the picture.
+BLOCK = 1 << 18
 
 
 class Evidence(NamedTuple):
@@ -67,36 +69,43 @@ class Evidence(NamedTuple):
 
 
 @jax.jit
-def _evidence(prediction, jacobian, lo, hi, sigma):
-    half = jnp.where(jnp.isfinite(lo) & jnp.isfinite(hi), (hi - lo) / 2, 0.0).max()
-    blunt_sigma = jnp.sqrt(sigma**2 + half**2 / 3)
-
+def _evidence(prediction, jacobian, lo, hi, sigma, blunt_sigma):
     def pixels(sigma):
         return interval((lo - prediction) / sigma, (hi - prediction) / sigma)
 
     def curvature(pixel, sigma):
-        return (jacobian * (pixel.curvature / sigma**2)[:, None]).T @ jacobian
+        return (jacobian * (pixel.curvature / sigma**2)) @ jacobian.T
 
     sharp = pixels(sigma)
-    slopes = jacobian * (sharp.slope / sigma)[:, None]
+    slopes = jacobian * (sharp.slope / sigma)
     blunt = curvature(pixels(blunt_sigma), blunt_sigma)
-    return curvature(sharp, sigma), slopes.T @ slopes, blunt, slopes.sum(0), sharp.slope
+    return curvature(sharp, sigma), slopes @ slopes.T, blunt, slopes.sum(1), sharp.slope
 
 
 def evidence(settled: Settled, tangent: Tangent, seen: Observation) -> Evidence:
     """The evidence at a settled point."""
-    curvature, scores, blunt, gradient, score = _evidence(
-        tangent.prediction, tangent.jacobian, seen.lo, seen.hi, jnp.float32(settled.sigma)
+    lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
+    width = hi - lo
+    sigma = settled.sigma
+    blunt_sigma = np.hypot(sigma, width[np.isfinite(width)].max(initial=0) / math.sqrt(12))
+    parts = []
+    for begin in range(0, len(lo), BLOCK):
+        rows = slice(begin, begin + BLOCK)
+        values = tangent.prediction[rows], tangent.jacobian[:, rows], lo[rows], hi[rows]
+        found = _evidence(*values, np.float32(sigma), np.float32(blunt_sigma))
+        parts.append([np.asarray(z) for z in found])
+    curvature, scores, blunt, gradient = (
+        np.sum([part[i] for part in parts], 0, np.float64) for i in range(4)
     )
     # Summed in scaled coordinates, where float32 holds all entries alike.
     size = np.outer(tangent.scale, tangent.scale).astype(np.float64)
     return Evidence(
-        np.asarray(curvature, np.float64) / size,
-        np.asarray(scores, np.float64) / size,
-        np.asarray(blunt, np.float64) / size,
-        np.asarray(gradient, np.float64) / tangent.scale,
-        np.asarray(tangent.prediction),
-        np.asarray(score),
+        curvature / size,
+        scores / size,
+        blunt / size,
+        gradient / tangent.scale,
+        tangent.prediction,
+        np.concatenate([part[4] for part in parts]),
     )
 
 

@@ -18,7 +18,7 @@ from godfit.models import AbstractModel
 
 LEVELS = 255.0
 # Larger pictures are searched at this size: coordinates do not depend on it.
-SEARCH_SIZE = 2048
+SEARCH_SIZE = 1024
 # Pixels that informative ones are chosen among.
 CANDIDATES = 1 << 21
 

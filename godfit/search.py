@@ -128,7 +128,7 @@ class Settled(NamedTuple):
 
 
 class Tangent(NamedTuple):
-    """The model about a point: levels (m,), derivatives (m, p) by coordinates over ``scale``."""
+    """The model about a point: levels (m,), derivatives (p, m) by coordinates over ``scale``."""
 
     prediction: np.ndarray
     jacobian: np.ndarray
@@ -192,12 +192,12 @@ def _aim(
         rows = slice(None)
         if sigma < EXPLAINED:
             rows = _near_walls(tangent.prediction, lo, hi)
-        jacobian = tangent.jacobian[rows]
-        moved = tangent.prediction[rows] + jacobian @ ((z - at.coordinates) / tangent.scale)
+        jacobian = tangent.jacobian[:, rows]
+        moved = tangent.prediction[rows] + ((z - at.coordinates) / tangent.scale) @ jacobian
         z = solve_tangent(
             z, free, model, tangent.scale, moved, jacobian, lo[rows], hi[rows], sigma
         ).coordinates
-        moved = tangent.prediction + tangent.jacobian @ ((z - at.coordinates) / tangent.scale)
+        moved = tangent.prediction + ((z - at.coordinates) / tangent.scale) @ tangent.jacobian
         before, (sigma, likelihood) = sigma, best_sigma(moved, seen)
         if abs(sigma - before) < 0.05 * before:
             break

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -80,32 +81,33 @@ def linearise(
     scale: Vector,
     model: AbstractModel,
     seen: Observation,
-) -> tuple[Float[Array, " m"], Float[Array, "m p"]]:
-    """Predicted levels and their derivatives by the coordinates divided by ``scale``."""
+) -> tuple[Float[Array, " m"], Float[Array, "p m"]]:
+    """Predicted levels and, a row for each, their derivatives by the coordinates divided by
+    ``scale``."""
 
     def predict(y):
-        prediction = seen.predict(model.moved(y * scale, held))
-        return prediction, prediction
+        return seen.predict(model.moved(y * scale, held))
 
-    jacobian, prediction = jax.jacfwd(predict, has_aux=True)(coordinates / scale)
-    return prediction, jacobian
+    y = coordinates / scale
+    move = functools.partial(jax.jvp, predict, (y,))
+    return jax.vmap(move, out_axes=(None, 0))((jnp.eye(y.shape[0], dtype=y.dtype),))
 
 
 @jax.jit
 def _on_tangent(
     step: Vector,
     prediction: Values,
-    jacobian: Float[Array, "m p"] | Float[np.ndarray, "m p"],
+    jacobian: Float[Array, "p m"] | Float[np.ndarray, "p m"],
     lo: Values,
     hi: Values,
     sigma: Scalar,
 ) -> tuple[Float[Array, ""], Float[Array, " p"], Float[Array, "p p"]]:
     """Log-likelihood with the model replaced by its tangent, slope and curvature by ``step``."""
     jacobian = jnp.asarray(jacobian)
-    levels = jnp.asarray(prediction) + jacobian @ step
+    levels = jnp.asarray(prediction) + step @ jacobian
     pixel = interval((jnp.asarray(lo) - levels) / sigma, (jnp.asarray(hi) - levels) / sigma)
-    curvature = (jacobian * (pixel.curvature / sigma**2)[:, None]).T @ jacobian
-    return pixel.log.sum(), (pixel.slope / sigma) @ jacobian, curvature
+    curvature = (jacobian * (pixel.curvature / sigma**2)) @ jacobian.T
+    return pixel.log.sum(), jacobian @ (pixel.slope / sigma), curvature
 
 
 def solve(
@@ -142,7 +144,7 @@ def solve_tangent(
     model: AbstractModel,
     scale: np.ndarray,
     prediction: Values,
-    jacobian: Float[Array, "m p"] | Float[np.ndarray, "m p"],
+    jacobian: Float[Array, "p m"] | Float[np.ndarray, "p m"],
     lo: Values,
     hi: Values,
     sigma: float,
@@ -159,7 +161,7 @@ def solve_tangent(
     width = np.asarray(hi) - np.asarray(lo)
     rounding = width[np.isfinite(width)].max(initial=0) ** 2 / 12
     matrix = np.asarray(jacobian, np.float64)
-    least_squares = matrix.T @ matrix / (sigma**2 + rounding)
+    least_squares = matrix @ matrix.T / (sigma**2 + rounding)
     size = np.sqrt(np.maximum(np.diag(least_squares), 1e-30))
 
     def at(step):
@@ -194,7 +196,7 @@ def solve_tangent(
 @jax.jit
 def _slope(prediction, jacobian, lo, hi, sigma):
     pixel = interval((lo - prediction) / sigma, (hi - prediction) / sigma)
-    return -(pixel.slope / sigma) @ jacobian
+    return -jacobian @ (pixel.slope / sigma)
 
 
 def _inside(start, free, model, run, slope) -> Point:
