@@ -467,6 +467,10 @@ def _interrupt(number: int, frame: Any) -> None:
 def run() -> None:
     """The ``godfit`` command."""
     signal.signal(signal.SIGINT, _interrupt)
+    # Where an interrupt falls into a finaliser, Python prints it and goes on; the next stage stops.
+    sys.unraisablehook = lambda lost: (
+        None if isinstance(lost.exc_value, KeyboardInterrupt) else sys.__unraisablehook__(lost)
+    )
     status = main()
     sys.stdout.flush()
     sys.stderr.flush()

@@ -182,7 +182,7 @@ class _Doubt:
     ) -> np.ndarray:
         """(h w, c, p) derivatives of the light pass's pixels by the free coordinates, scaled."""
         everywhere = picture.observe(np.arange(picture.size[0] * picture.size[1]))
-        slopes = np.asarray(linearise(z, held, scales(z), model, everywhere)[1])[:, free]
+        slopes = np.asarray(linearise(z, held, scales(z), model, everywhere)[1])[free].T
         slopes = slopes.reshape(*picture.size, -1)
         slopes = shrink(slopes, self.hard.shape[:2])
         return slopes.reshape(-1, picture.channels, int(free.sum())).astype(np.float64)

@@ -74,10 +74,10 @@ def _evidence(prediction, jacobian, lo, hi, sigma, blunt_sigma):
         return interval((lo - prediction) / sigma, (hi - prediction) / sigma)
 
     def curvature(pixel, sigma):
-        return (jacobian * (pixel.curvature / sigma**2)) @ jacobian.T
+        return (jacobian * (pixel.curvature / sigma**2)[None]) @ jacobian.T
 
     sharp = pixels(sigma)
-    slopes = jacobian * (sharp.slope / sigma)
+    slopes = jacobian * (sharp.slope / sigma)[None]
     blunt = curvature(pixels(blunt_sigma), blunt_sigma)
     return curvature(sharp, sigma), slopes @ slopes.T, blunt, slopes.sum(1), sharp.slope
 

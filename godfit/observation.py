@@ -35,11 +35,12 @@ class Observation(eqx.Module):
     size: tuple[int, int] = eqx.field(static=True)
     channels: int = eqx.field(static=True)
     transfer: str = eqx.field(static=True)
+    # Whether the pixels are all there are, in their order: then no index is needed.
+    whole: bool = eqx.field(static=True)
 
     def predict(self, model: AbstractModel) -> Float[Array, " m"]:
         """Levels of the model's image before rounding, (pixels x channels,)."""
-        # All of them are what comes without asking: no index is needed.
-        some = None if self.pixels.shape[0] == self.size[0] * self.size[1] else self.pixels
+        some = None if self.whole else self.pixels
         image = model(self.mask, self.background, size=self.size, pixels=some)
         image = image.reshape(self.pixels.shape[0], -1)
         image = jnp.broadcast_to(image, (self.pixels.shape[0], self.channels))
@@ -153,6 +154,7 @@ class Picture:
             self.size,
             self.channels,
             self.transfer,
+            bool(np.array_equal(pixels, np.arange(self.size[0] * self.size[1]))),
         )
 
     def _share_clipped(self, pixels: np.ndarray, reach: int) -> np.ndarray:
@@ -186,16 +188,14 @@ class Picture:
         rng = np.random.default_rng(seed)
         if len(candidates) > CANDIDATES:
             candidates = np.unique(candidates[rng.integers(0, len(candidates), CANDIDATES)])
-        slope = self._slopes[candidates]
-        even = rng.choice(len(candidates), count // 2, replace=False, shuffle=False)
-        slope[even] = 0
+        even = rng.permutation(len(candidates))[: count // 2]
+        chance = self._slopes[candidates].astype(np.float64)
+        chance[even] = 0
         odd = count - len(even)
-        if np.count_nonzero(slope) < odd:
-            return np.sort(candidates[rng.permutation(len(candidates))[:count]])
-        # Drawn without replacement, chances as the slopes are: the first of exponential clocks.
-        clock = rng.standard_exponential(len(candidates), np.float32)
-        clock = np.where(slope > 0, clock / np.where(slope > 0, slope, 1), np.inf)
-        return np.sort(candidates[np.append(even, np.argpartition(clock, odd)[:odd])])
+        if np.count_nonzero(chance) < odd:
+            return np.sort(rng.permutation(candidates)[:count])
+        chosen = rng.choice(len(candidates), odd, replace=False, p=chance / chance.sum())
+        return np.sort(candidates[np.concatenate([even, chosen])])
 
     @functools.cached_property
     def _slopes(self) -> np.ndarray:

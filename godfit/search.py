@@ -33,7 +33,7 @@ WALLS = 1 << 14
 # Gain in log-likelihood for which pixels are not rendered again: kinks of the mask make it jump by
 # as much between one float32 and the next.
 SHORT = 4.0
-SIGMA_VALUES = 1 << 12
+SIGMA_VALUES, FINAL_SIGMA_VALUES = 1 << 12, 1 << 15
 SIGMAS = (0.005 * 3.0 ** np.arange(10)).astype(np.float32)
 
 
@@ -52,19 +52,21 @@ def _log_likelihoods(
     return jax.lax.map(total, jnp.asarray(sigmas))
 
 
-def best_sigma(prediction: np.ndarray, seen: Observation) -> tuple[float, float]:
+def best_sigma(
+    prediction: np.ndarray, seen: Observation, part_of: int = SIGMA_VALUES
+) -> tuple[float, float]:
     """Noise in levels that makes the pixels likeliest, and their log-likelihood.
 
-    A grid of sigmas is refined by finer ones about its best, on a part of the pixels that is
-    enough to know sigma to some percent.
+    A grid of sigmas is refined by finer ones about its best, on ``part_of`` the values: n of them
+    know sigma to a share of 1/sqrt(2 n).
     """
     values, whole = (prediction, seen.lo, seen.hi), True
-    if prediction.shape[0] > SIGMA_VALUES:
+    if prediction.shape[0] > part_of:
         # Drawn at random: a regular stride would fall into step with the rows.
-        part = np.random.default_rng(0).integers(0, prediction.shape[0], SIGMA_VALUES)
+        part = np.random.default_rng(0).integers(0, prediction.shape[0], part_of)
         values, whole = tuple(np.asarray(z)[part] for z in values), False
     sigmas, ratio = SIGMAS, SIGMAS[1] / SIGMAS[0]
-    for _ in range(3):
+    for _ in range(3 if part_of == SIGMA_VALUES else 4):
         found = np.asarray(_log_likelihoods(*values, sigmas), np.float64)
         at = int(np.nanargmax(found))
         best, likelihood = float(sigmas[at]), float(found[at])
@@ -134,6 +136,17 @@ class Tangent(NamedTuple):
     jacobian: np.ndarray
     scale: np.ndarray
 
+    def moved(self, by: np.ndarray, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Levels (of some) where the coordinates are others ``by`` so much."""
+        step = np.asarray(by / self.scale, np.float32)
+        return np.asarray(_along(self.prediction[rows], self.jacobian[:, rows], step))
+
+
+@jax.jit
+def _along(prediction, jacobian, step):
+    # By XLA: BLAS in numpy keeps a core busy, waiting, long after the product is done.
+    return prediction + step @ jacobian
+
 
 def settle(
     start: np.ndarray,
@@ -149,7 +162,15 @@ def settle(
     The pixels are rendered once for each round. In between, the likelihood, which is far from
     quadratic when sigma is small, is solved on the tangent, with sigma and coordinates in turn.
     """
+    settled, tangent = _in_rounds(start, model, seen, free, held, rounds)
+    if settled.sigma > EXPLAINED:
+        # On the way a few percent were enough; errors are quoted in units of it.
+        sigma, likelihood = best_sigma(tangent.prediction, seen, FINAL_SIGMA_VALUES)
+        settled = settled._replace(sigma=sigma, log_likelihood=likelihood)
+    return settled, tangent
 
+
+def _in_rounds(start, model, seen, free, held, rounds) -> tuple[Settled, Tangent]:
     def render(z):
         scale = scales(z)
         prediction, jacobian = linearise(z, held, scale, model, seen)
@@ -192,12 +213,11 @@ def _aim(
         rows = slice(None)
         if sigma < EXPLAINED:
             rows = _near_walls(tangent.prediction, lo, hi)
-        jacobian = tangent.jacobian[:, rows]
-        moved = tangent.prediction[rows] + ((z - at.coordinates) / tangent.scale) @ jacobian
+        moved, jacobian = tangent.moved(z - at.coordinates, rows), tangent.jacobian[:, rows]
         z = solve_tangent(
             z, free, model, tangent.scale, moved, jacobian, lo[rows], hi[rows], sigma
         ).coordinates
-        moved = tangent.prediction + ((z - at.coordinates) / tangent.scale) @ tangent.jacobian
+        moved = tangent.moved(z - at.coordinates)
         before, (sigma, likelihood) = sigma, best_sigma(moved, seen)
         if abs(sigma - before) < 0.05 * before:
             break

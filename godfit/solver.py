@@ -62,9 +62,7 @@ def _least_squares(
     # Residuals of order one in sum make the solver's first damping, 1, mean something: it starts
     # between the gradient and the Newton step instead of leaping.
     share = seen.lo.shape[0] ** -0.5
-    # Six by six: a small part of the cost of a factorisation of all rows. What float32 loses in the
-    # square makes steps a little less good, not the point that they lead to.
-    solver = optx.LevenbergMarquardt(rtol=1e-5, atol=1e-6, linear_solver=lx.Normal(lx.Cholesky()))
+    solver = optx.LevenbergMarquardt(rtol=1e-5, atol=1e-6, linear_solver=lx.QR())
     solution = optx.least_squares(
         residuals, solver, start / scale, max_steps=MAX_STEPS, throw=False
     )
@@ -106,8 +104,13 @@ def _on_tangent(
     jacobian = jnp.asarray(jacobian)
     levels = jnp.asarray(prediction) + step @ jacobian
     pixel = interval((jnp.asarray(lo) - levels) / sigma, (jnp.asarray(hi) - levels) / sigma)
-    curvature = (jacobian * (pixel.curvature / sigma**2)) @ jacobian.T
+    curvature = (jacobian * (pixel.curvature / sigma**2)[None]) @ jacobian.T
     return pixel.log.sum(), jacobian @ (pixel.slope / sigma), curvature
+
+
+@jax.jit
+def _gram(jacobian):
+    return jacobian @ jacobian.T
 
 
 def solve(
@@ -160,15 +163,18 @@ def solve_tangent(
     lower, upper = ((np.asarray(b, np.float64) - start) / scale for b in model.bounds())
     width = np.asarray(hi) - np.asarray(lo)
     rounding = width[np.isfinite(width)].max(initial=0) ** 2 / 12
-    matrix = np.asarray(jacobian, np.float64)
-    least_squares = matrix @ matrix.T / (sigma**2 + rounding)
-    size = np.sqrt(np.maximum(np.diag(least_squares), 1e-30))
+    # One scale for every coordinate keeps those that nothing is known of where they are.
+    least_squares = np.asarray(_gram(values[1]), np.float64) / (sigma**2 + rounding)
+    still = np.eye(len(start))
+    size = np.sqrt(np.diag(least_squares) + 1)
 
     def at(step):
         return [np.asarray(z, np.float64) for z in _on_tangent(step.astype(np.float32), *values)]
 
     step, damping, settled, steps = np.zeros(len(start)), 1e-2, False, 0
     likelihood, slope, curvature = at(step)
+    if not all(np.isfinite(z).all() for z in (likelihood, slope, curvature, least_squares)):
+        return Point(start, np.inf, False, 0)
     while steps < MAX_TANGENT_STEPS and not settled:
         steps += 1
         held = ((step <= lower) & (slope < 0)) | ((step >= upper) & (slope > 0))
@@ -176,10 +182,10 @@ def solve_tangent(
         if not len(moving):
             settled = True
             break
-        damped = (curvature + damping * least_squares) / np.outer(size, size)
-        damped = damped[np.ix_(moving, moving)] + 1e-9 * np.eye(len(moving))
+        damped = (curvature + damping * least_squares + still) / np.outer(size, size)
         move = np.zeros(len(start))
-        move[moving] = np.linalg.solve(damped, slope[moving] / size[moving]) / size[moving]
+        pull = slope[moving] / size[moving]
+        move[moving] = np.linalg.solve(damped[np.ix_(moving, moving)], pull) / size[moving]
         trial = np.clip(step + move, lower, upper)
         promised = float(slope @ (trial - step))
         found = at(trial)
