@@ -89,7 +89,9 @@ def errors(mask: np.ndarray, point: np.ndarray) -> tuple[float, float, float]:
 
 def command(arguments: list[str], cache: Path) -> tuple[float, float]:
     """Seconds and peak memory (MB) of a whole command."""
-    program = f"import sys; from godfit.__main__ import main; main(sys.argv[1:]); {PEAK}"
+    program = f"import sys, os; from godfit.__main__ import main; main(sys.argv[1:]); {PEAK}"
+    # As the command itself ends: an orderly shutdown would come on top.
+    program += "; sys.stdout.flush(); os._exit(0)"
     began = time.perf_counter()
     run = subprocess.run(
         [sys.executable, "-c", program, *arguments],

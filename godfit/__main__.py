@@ -24,9 +24,13 @@ import click  # noqa: E402
 from godfit.errors import InputError  # noqa: E402
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     import numpy as np
 
+    from godfit.image import Image
     from godfit.models import Mitchell
+    from godfit.scene import Scene
 
 NOT_CONVERGED = 3
 INTERRUPTED = 130
@@ -137,6 +141,53 @@ def folder_for(target: str, output: str | None) -> Path:
     return folder
 
 
+def opened(
+    target: str, given: Mapping[str, Any], output: str | None
+) -> tuple[Image, dict[str, Any], Path]:
+    """The target, its options (those of the file beside it, and ``given`` ones in their place), and
+    the folder for the result."""
+    from godfit.image import read_image
+    from godfit.sidecar import read_sidecar
+
+    options = read_sidecar(target) | {k: v for k, v in given.items() if v is not None}
+    folder = folder_for(target, output)
+    # The target first: a missing one should not be reported as a missing mask.
+    image = read_image(target, transfer=options.get("transfer", "none"))
+    for one, other in (("mask", "scene"), ("scene", "mask")):
+        if given[one] is not None and given[other] is None:
+            # What is said here replaces what stands beside the target.
+            options.pop(other, None)
+    if "mask" in options and "scene" in options:
+        raise click.UsageError("expected --mask or --scene, got both; a scene draws its own mask")
+    if "mask" not in options and "scene" not in options:
+        raise click.UsageError(
+            "expected --mask IMAGE or --scene SCENE.toml, or "
+            f"{Path(target).with_suffix('.toml').name} beside the target naming one; got neither"
+        )
+    return image, options, folder
+
+
+def load_scene(options: dict[str, Any], progress: Progress) -> None:
+    """Put the scene itself in the place of its file."""
+    if "scene" in options:
+        from godfit.scene import read_scene
+
+        progress("loading meshes")
+        options["scene"] = read_scene(options["scene"])
+
+
+def say_assumed(options: Mapping[str, Any]) -> None:
+    """Warn of a shader or a number of samples that nobody gave."""
+    from godfit.taps import convention
+
+    said = {**options["scene"].settings, **options} if "scene" in options else options
+    if "shader" not in said:
+        warn("no shader given: 'mitchell' assumed; see `godfit shaders`")
+    shader = convention(said.get("shader", "mitchell"))
+    if "samples" not in said and "samples" not in shader.defaults:
+        warn(f"{shader.name} publishes no default: {shader.samples} samples assumed")
+
+
 SHADER_HELP = "Shader convention; see `godfit shaders`. [default: mitchell]"
 
 
@@ -149,6 +200,7 @@ def load_drawing() -> None:
 @click.argument("target")
 @click.option("--mask", help="Occlusion mask that the scattering pass reads.")
 @click.option("--scene", help="Scene file to draw the mask from.")
+@click.option("--model", help="mitchell or hoffman-preetham. [default: mitchell]")
 @click.option("--free", multiple=True, metavar="NAME", help="Fit this of the scene as well.")
 @click.option("--background", help="Ordinary pass that the light was laid on.")
 @click.option("--shader", help=SHADER_HELP)
@@ -156,6 +208,8 @@ def load_drawing() -> None:
 @click.option("--lights", type=int, help="Number of lights. [default: 1]")
 @click.option("--pass-scale", type=float, help="Size of the light pass against the mask's.")
 @click.option("--transfer", type=click.Choice(["none", "srgb"]), help="How the target was encoded.")
+@click.option("--fov", type=float, help="Hoffman-Preetham: vertical field of view in degrees.")
+@click.option("--distance", type=float, help="Hoffman-Preetham: how far what is seen lies.")
 @click.option("--fix", multiple=True, metavar="NAME[=VALUE]", help="Hold a parameter.")
 @click.option("--start", multiple=True, metavar="NAME=VALUE", help="Start a parameter here.")
 @click.option("--ignore", multiple=True, metavar="X,Y,W,H|IMAGE", help="Pixels to look away from.")
@@ -187,51 +241,25 @@ def fit(
     With --scene the mask is drawn from meshes. --free light.position (or light.radius,
     camera.position, object[0].position, object[0].rotation, ...) fits that as well.
     """
-    from godfit.cache import keep_compiled
-    from godfit.image import read_image
-    from godfit.sidecar import read_sidecar
-
     fixed = assignments(fix, "--fix", optional=True)
     started = assignments(start, "--start", optional=False)
-    options = read_sidecar(target) | {k: v for k, v in given.items() if v is not None}
-    folder = folder_for(target, output)
-    # The target first: a missing one should not be reported as a missing mask.
-    image = read_image(target, transfer=options.get("transfer", "none"))
-    for one, other in (("mask", "scene"), ("scene", "mask")):
-        if given[one] is not None and given[other] is None:
-            # What is said here replaces what stands beside the target.
-            options.pop(other, None)
-    if "mask" in options and "scene" in options:
-        raise click.UsageError("expected --mask or --scene, got both; a scene draws its own mask")
-    if "mask" not in options and "scene" not in options:
-        raise click.UsageError(
-            "expected --mask IMAGE or --scene SCENE.toml, or "
-            f"{Path(target).with_suffix('.toml').name} beside the target naming one; got neither"
-        )
+    image, options, folder = opened(target, given, output)
     if free and "scene" not in options:
         raise click.UsageError(f"--free {free[0]}: expected --scene SCENE.toml with it, got a mask")
     valid = look_away(ignore, image.values.shape[:2])
     with Progress(quiet, verbose) as progress:
         progress("loading JAX")
+        from godfit.cache import keep_compiled
+
         keep_compiled()
         from godfit.fitting import fit as run
         from godfit.report import as_json as record
         from godfit.report import save
-        from godfit.taps import convention
 
         imported = time.perf_counter() - STARTED
-        scene = None
-        if "scene" in options:
-            from godfit.scene import read_scene
-
-            progress("loading meshes")
-            scene = options["scene"] = read_scene(options["scene"])
-        said = options if scene is None else {**scene.settings, **options}
-        if "shader" not in said and not quiet:
-            warn("no shader given: 'mitchell' assumed; see `godfit shaders`")
-        shader = convention(said.get("shader", "mitchell"))
-        if "samples" not in said and "samples" not in shader.defaults and not quiet:
-            warn(f"{shader.name} publishes no default: {shader.samples} samples assumed")
+        load_scene(options, progress)
+        if options.get("model", "mitchell") == "mitchell" and not quiet:
+            say_assumed(options)
         # Loaded while compiled programs run, which need the interpreter little.
         threading.Thread(target=load_drawing, daemon=True).start()
         result = run(
@@ -252,6 +280,72 @@ def fit(
         click.echo(result.summary())
         click.echo(f"\n  {folder}{os.sep}: fit.json, fit.png, render.png")
     return 0 if result.converged else NOT_CONVERGED
+
+
+@cli.command()
+@click.argument("target")
+@click.option("--mask", help="Occlusion mask, as for fit.")
+@click.option("--scene", help="Scene file: mask, camera, distances and light.")
+@click.option("--background", help="Ordinary pass that the light was laid on.")
+@click.option("--shader", help=SHADER_HELP)
+@click.option("--samples", type=int, help="Samples a ray. [default: the shader's own]")
+@click.option("--light", metavar="U,V", help="Where the light is. [default: the scene's]")
+@click.option("--pass-scale", type=float, help="Size of the light pass against the mask's.")
+@click.option("--transfer", type=click.Choice(["none", "srgb"]), help="How the target was encoded.")
+@click.option("--fov", type=float, help="Vertical field of view in degrees, without a scene.")
+@click.option("--distance", type=float, help="How far what is seen lies; with a scene, the sky.")
+@click.option("--ignore", multiple=True, metavar="X,Y,W,H|IMAGE", help="Pixels to look away from.")
+@click.option("-o", "--output", metavar="DIR", help="Result folder. [default: TARGET.godfit]")
+@click.option("--json", "as_json", is_flag=True, help="Print compare.json, and nothing else.")
+@click.option("--seed", type=int, default=0, help="Seed of the choice of pixels.")
+@click.option("-q", "--quiet", is_flag=True, help="No progress, no warnings.")
+@click.option("-v", "--verbose", is_flag=True, help="A line for every stage.")
+def compare(
+    target: str,
+    light: str | None,
+    ignore: tuple[str, ...],
+    output: str | None,
+    as_json: bool,
+    seed: int,
+    quiet: bool,
+    verbose: bool,
+    **given: Any,
+) -> int:
+    """Fit Mitchell's sum and Hoffman and Preetham's daylight to TARGET and say which it deserves.
+
+    Each is fitted with the light where it is given, if it is, and with the light free. The table
+    goes to stdout, compare.json and compare.png to x.godfit/. Exit status 3 if none converged.
+    """
+    place = None if light is None else pair(light)
+    image, options, folder = opened(target, given, output)
+    valid = look_away(ignore, image.values.shape[:2])
+    with Progress(quiet, verbose) as progress:
+        progress("loading JAX")
+        from godfit.cache import keep_compiled
+
+        keep_compiled()
+        from godfit import compare as comparing
+
+        load_scene(options, progress)
+        if not quiet:
+            say_assumed(options)
+        threading.Thread(target=load_drawing, daemon=True).start()
+        found = comparing.compare(
+            image, light=place, valid=valid, seed=seed, progress=progress, **options
+        )
+        progress("drawing")
+        command = shlex.join(["godfit", *sys.argv[1:]])
+        comparing.save(found, folder, command)
+    if not quiet:
+        for note in dict.fromkeys(note for row in found.rows for note in row.result.notes):
+            warn(note)
+    if as_json:
+        record = comparing.as_json(found, command)
+        click.echo(json.dumps(record, indent=1, ensure_ascii=False))
+    else:
+        click.echo(found.summary())
+        click.echo(f"\n  {folder}{os.sep}: compare.json, compare.png")
+    return 0 if any(row.result.converged for row in found.rows) else NOT_CONVERGED
 
 
 @cli.command()
@@ -282,6 +376,7 @@ def mask(scene: str, output: str, hard: bool, quiet: bool) -> int:
 @cli.command()
 @click.argument("mask", metavar="MASK|SCENE.toml")
 @click.option("-o", "--output", required=True, help="Image to write: .png or .npy (linear floats).")
+@click.option("--model", help="mitchell, hoffman-preetham or volume. [default: mitchell]")
 @click.option("--params", metavar="FIT.JSON", help="Take shader and parameters from a fit.")
 @click.option("--shader", help=SHADER_HELP)
 @click.option("--samples", type=int, help="Samples a ray. [default: the shader's own]")
@@ -289,6 +384,15 @@ def mask(scene: str, output: str, hard: bool, quiet: bool) -> int:
 @click.option("--decay", type=float)
 @click.option("--density", type=float)
 @click.option("--weight", type=float)
+@click.option("--e-sun", type=float, help="The sun's irradiance, or a lamp's intensity.")
+@click.option("--scale", type=float, help="Metres of air that a unit of distance stands for.")
+@click.option("--turbidity", type=float, help="Haze: 2 clear, 6 hazy. [default: 2]")
+@click.option("--g", type=float, help="Mean cosine of the haze's scattering. [default: .76]")
+@click.option("--phase", help="normalised or published. [default: normalised]")
+@click.option("--fov", type=float, help="Vertical field of view in degrees, without a scene.")
+@click.option("--distance", type=float, help="How far what is seen lies; with a scene, the sky.")
+@click.option("--source", default="sun", help="Of a volume: sun or lamp. [default: sun]")
+@click.option("--steps", type=int, default=128, help="Of a volume's rays. [default: 128]")
 @click.option("--light", multiple=True, metavar="U,V", help="Light; repeat for several.")
 @click.option("--background", help="Ordinary pass to lay the light on.")
 @click.option("--size", metavar="WxH", help="Size of the image. [default: the mask's]")
@@ -306,9 +410,15 @@ def mask(scene: str, output: str, hard: bool, quiet: bool) -> int:
 def render(
     mask: str,
     output: str,
+    model: str | None,
     params: str | None,
     shader: str | None,
     samples: int | None,
+    phase: str | None,
+    fov: float | None,
+    distance: float | None,
+    source: str,
+    steps: int,
     light: tuple[str, ...],
     background: str | None,
     size: str | None,
@@ -319,9 +429,13 @@ def render(
     **values: float | None,
 ) -> int:
     """Render the light of MASK, or of the scene SCENE.toml, with the given parameters or the
-    shader's defaults."""
+    shader's defaults.
+
+    --model hoffman-preetham takes a mask that is 1 where the sky is seen; --model volume marches
+    through the air of a SCENE.toml. Both need --e-sun and --scale.
+    """
     from godfit.image import read_image, write_image
-    from godfit.inputs import drawn, model_from, place_of, shrink_mask
+    from godfit.inputs import check_model, drawn, model_from, place_of, shrink_mask
 
     if tolerance is not None and not 0 <= tolerance < float("inf"):
         raise click.BadParameter(
@@ -338,25 +452,87 @@ def render(
         pass_scale = settings.pop("pass_scale", 1.0) if pass_scale == 1 else pass_scale
         transfer = settings.pop("transfer", "none") if transfer == "none" else transfer
     settings |= read_params(params) if params else {}
+    kind = model or settings.get("model", "mitchell")
+    if kind != "volume":
+        check_model(
+            kind, (), shader, 1 if kind == "mitchell" else max(len(lights), 1), fov, distance
+        )
     settings |= {k: v for k, v in {"shader": shader, "samples": samples}.items() if v is not None}
     known = {k: v for k, v in values.items() if v is not None}
+    if kind != "mitchell":
+        if stage is not None:
+            # That of a fit is a typical one; the scene has them all.
+            settings.pop("distance", None)
+        geometry = {"fov": fov, "distance": distance, "phase": phase}
+        settings |= {k: v for k, v in geometry.items() if v is not None}
+        image = daylight_image(
+            mask, stage, settings, known, lights, kind, back_of(background, transfer), source, steps
+        )
+        write_image(output, image, transfer=transfer, bits=int(bits))
+        return 0
     shape = whole(size) if size else None
-    back = None if background is None else read_image(background, transfer=transfer).values
+    back = back_of(background, transfer)
     if stage is None:
         occlusion = read_image(mask).values
     else:
         occlusion = drawn(stage, stage.antialias is not False)
-    model = model_from(settings, known, lights)
+    lit = model_from(settings, known, lights)
     low = shrink_mask(occlusion, pass_scale)
     shape = shape or (occlusion.shape[:2] if back is None else back.shape[:2])
-    if back is not None and back.shape[:2] != shape:
-        raise InputError(
-            f"background: expected {shape[1]}x{shape[0]} pixels, got "
-            f"{back.shape[1]}x{back.shape[0]}"
-        )
-    image = drawn_light(model, low, back, shape, tolerance or 0.0)
+    check_background(back, shape)
+    image = drawn_light(lit, low, back, shape, tolerance or 0.0)
     write_image(output, image, transfer=transfer, bits=int(bits))
     return 0
+
+
+def back_of(background: str | None, transfer: str) -> np.ndarray | None:
+    """The ordinary pass, linear, if there is one."""
+    from godfit.image import read_image
+
+    return None if background is None else read_image(background, transfer=transfer).values
+
+
+def daylight_image(
+    mask: str,
+    stage: Scene | None,
+    settings: dict[str, Any],
+    known: dict[str, float],
+    lights: list[tuple[float, float]],
+    kind: str,
+    background: np.ndarray | None,
+    source: str,
+    steps: int,
+) -> np.ndarray:
+    """The image of Hoffman and Preetham's model, or of a volume, (h, w, 3), clamped to [0, 1]."""
+    import numpy as np
+
+    from godfit.image import read_image
+    from godfit.inputs import daylight_from, drawn, open_sky
+    from godfit.observation import render as draw
+
+    model = daylight_from(settings, known, lights, stage)
+    if kind == "volume":
+        from godfit import volume
+
+        if stage is None:
+            raise InputError("volume: expected a SCENE.toml, got an image; it has no depth")
+        size, distance = stage.size, np.asarray(model.view.distance)
+        check_background(background, size)
+        image = volume.render(
+            stage, model.air, distance, source=source, steps=steps, background=background
+        )
+        return np.clip(image, 0, 1)
+    occlusion = read_image(mask).values if stage is None else drawn(open_sky(stage), True)
+    check_background(background, occlusion.shape[:2])
+    return draw(model, occlusion, background, occlusion.shape[:2])
+
+
+def check_background(background: np.ndarray | None, size: tuple[int, ...]) -> None:
+    if background is not None and background.shape[:2] != tuple(size):
+        raise InputError(
+            f"background: expected {size[1]}x{size[0]} pixels, got "
+            f"{background.shape[1]}x{background.shape[0]}"
+        )
 
 
 def drawn_light(
@@ -405,9 +581,9 @@ def read_params(path: str) -> dict[str, Any]:
     """Shader, samples and parameters of a fit.json."""
     try:
         record = json.loads(Path(path).read_text(encoding="utf-8"))
+        given = ("model", "shader", "samples", "phase", "fov", "distance")
         return {
-            "shader": record["shader"],
-            "samples": record["samples"],
+            **{key: record[key] for key in given if key in record},
             **{name: entry["value"] for name, entry in record["params"].items()},
         }
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

@@ -22,13 +22,15 @@ from godfit.observation import LEVELS, Picture, shrink
 from godfit.radial.geometry import to_pixels
 from godfit.scene import Scene
 from godfit.search import climb
-from godfit.solver import linearise, scales, solve
+from godfit.solver import linearise, solve
 
 ROUNDS = 4
 TRIMS = 4
 PIXELS = 8192
 # Levels that rounding leaves.
 LEAST_NOISE = 0.3
+# Levels that an edge pixel is off by at least where the mask is of the wrong kind.
+MUCH = 1.0
 # Log-odds against a pixel falling the other way, and the share of a pixel by which renderers
 # disagree about where an edge is.
 RARE, TOLERANCE = 3.0, 0.05
@@ -51,26 +53,38 @@ def agreed(
     pixels on the side that the target says. ``picture`` has the hard mask."""
     if not free.any():
         return picture
-    point = climb(picture.small, model, begun, free, held, seed, lambda text: None)
+    point = climb(picture.small, model, begun, free, held, seed, lambda text: None).coordinates
     smooth = dataclasses.replace(picture, mask=inputs.drawn(scene, True))
-    z, _ = _off_streaks(picture, model, point.coordinates, free, held, seed)
+    z = _sharp(picture, model, point, free, held, seed)
     if scene.antialias is None:
-        soft, _ = _off_streaks(smooth, model, point.coordinates, free, held, seed)
-        if _miss(smooth, model, soft, held) < _miss(picture, model, z, held):
+        soft = _sharp(smooth, model, point, free, held, seed)
+        hard_off, soft_off = (
+            np.abs(_residual(mask, model, at, held)).max(-1)
+            for mask, at in ((picture, z), (smooth, soft))
+        )
+        # The wrong mask is off at every edge pixel, the right one at the doubtful few.
+        much = max(4 * min(float(np.median(hard_off)), float(np.median(soft_off))), MUCH)
+        if np.count_nonzero(soft_off > much) < np.count_nonzero(hard_off > much):
             return smooth
     if model.convention.box:
         return picture
     doubt = _Doubt.of(np.atleast_3d(picture.mask), np.atleast_3d(smooth.mask))
-    for tried in range(ROUNDS):
-        z, like_most = _off_streaks(picture, model, z, free, held, seed)
-        if tried == 0:
-            trimmed = dataclasses.replace(picture, valid=picture.valid & like_most)
-            z = dips.on_subset(trimmed, model, z, free, held, seed, lambda text: None)[0]
+    for _ in range(ROUNDS):
+        z, _ = _off_streaks(picture, model, z, free, held, seed)
         mask = doubt.settled(picture, model, z, free, held).reshape(picture.mask.shape)
         if (mask == picture.mask).all():
             break
         picture = dataclasses.replace(picture, mask=mask)
     return picture
+
+
+def _sharp(
+    picture: Picture, model: Mitchell, z: np.ndarray, free: np.ndarray, held: np.ndarray, seed: int
+) -> np.ndarray:
+    """Coordinates in the right dip of density, by the pixels that no streak crosses."""
+    z, like_most = _off_streaks(picture, model, z, free, held, seed)
+    trimmed = dataclasses.replace(picture, valid=picture.valid & like_most)
+    return dips.on_subset(trimmed, model, z, free, held, seed, lambda text: None)[0]
 
 
 def _off_streaks(
@@ -95,12 +109,6 @@ def _residual(picture: Picture, model: Mitchell, z: np.ndarray, held: np.ndarray
     fitted = picture.rendered(model.moved(jnp.asarray(z), jnp.asarray(held)))
     known = picture.valid & ~picture.clipped
     return np.where(known[..., None], picture.levels - fitted, 0.0)
-
-
-def _miss(picture: Picture, model: Mitchell, z: np.ndarray, held: np.ndarray) -> float:
-    """How far off most pixels are, in levels: streaks are of the few."""
-    off = np.abs(_residual(picture, model, z, held))
-    return float(np.quantile(off[off > 0], 0.8)) if (off > 0).any() else 0.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -182,7 +190,7 @@ class _Doubt:
     ) -> np.ndarray:
         """(h w, c, p) derivatives of the light pass's pixels by the free coordinates, scaled."""
         everywhere = picture.observe(np.arange(picture.size[0] * picture.size[1]))
-        slopes = np.asarray(linearise(z, held, scales(z), model, everywhere)[1])[free].T
+        slopes = np.asarray(linearise(z, held, model.scales(z), model, everywhere)[1])[free].T
         slopes = slopes.reshape(*picture.size, -1)
         slopes = shrink(slopes, self.hard.shape[:2])
         return slopes.reshape(-1, picture.channels, int(free.sum())).astype(np.float64)

@@ -41,7 +41,11 @@ RIVAL_PIXELS, RIVAL_DIPS, RIVALS = 1 << 14, 6, 2
 # Log-likelihood on the subset by which a point may fall behind and still be tried on all pixels.
 DOUBT = 8.0
 CANDIDATES = 3
+# More levels than a wrong dip leaves: the model is another, and no density will do.
+HOPELESS = 6.0
 MAX_DIPS = 5
+# A right answer to a picture that is only rounded leaves less noise than this.
+CONTENT = 1.3 * SIGMAS[0]
 MAX_RESEEDS = 3
 MAX_RIVALRIES = 4
 
@@ -66,7 +70,9 @@ def on_subset(
     found = reseed(settled, along, model, picture, free, held, seed)
     for _ in range(MAX_RESEEDS):
         best = found[0]
-        if best.sigma < EXPLAINED or _like_noise(best, model, seen, held):
+        if best.sigma < EXPLAINED or best.sigma > HOPELESS:
+            break
+        if _like_noise(best, model, seen, held):
             break
         again = correct(best.coordinates, model, picture, free, held, seed)
         again, _ = settle(again, model, seen, free, held)
@@ -75,12 +81,18 @@ def on_subset(
         found = reseed(again, along, model, picture, free, held, seed)
         if found[0].log_likelihood < best.log_likelihood + 1:
             break
+    if found[0].sigma > HOPELESS and not _like_noise(found[0], model, seen, held):
+        return [found[0].coordinates]
     close: list[Settled] = []
     for other in found:
         apart = all(abs(other.coordinates[along] - c.coordinates[along]) > dip / 20 for c in close)
         if apart and other.log_likelihood > found[0].log_likelihood - DOUBT:
             close.append(other)
     return [c.coordinates for c in close[:CANDIDATES]]
+
+
+def _hopeless(settled: Settled, at: Evidence, seen: Observation) -> bool:
+    return settled.sigma > HOPELESS and not misfit(at.prediction, seen).like_noise
 
 
 def _like_noise(at: Settled, model: AbstractModel, seen: Observation, held: np.ndarray) -> bool:
@@ -110,7 +122,7 @@ def next_dips(
 ) -> tuple[Settled, Evidence]:
     """From dip to dip, both ways, as long as the likelihood of all pixels gains."""
     along, dip, doubtful = _dips(settled, at, model, free)
-    if not doubtful:
+    if not doubtful or _hopeless(settled, at, seen):
         return settled, at
     covariance = at.covariance(free)
     follow = covariance[:, along] / covariance[along, along]
@@ -140,12 +152,48 @@ def beat_rivals(
         along, dip, _ = _dips(settled, at, model, free)
         if not free[along] or settled.sigma < WITHIN_ROUNDING:
             break
+        if _hopeless(settled, at, seen):
+            break
         before = settled.log_likelihood
         for z in rivals(settled, along, dip, model, picture, free, held, seed):
             other, tangent = settle(z, model, seen, free, held)
             if other.log_likelihood > settled.log_likelihood:
                 settled, at = other, evidence(other, tangent, seen)
         if settled.log_likelihood < before + 0.5:
+            break
+    return settled, at
+
+
+def beat_distant(
+    settled: Settled,
+    at: Evidence,
+    model: AbstractModel,
+    picture: Picture,
+    seen: Observation,
+    free: np.ndarray,
+    held: np.ndarray,
+    seed: int,
+) -> tuple[Settled, Evidence]:
+    """The likeliest of dips anywhere, on all pixels of ``seen``, where what is left is less than
+    rounding would hide and yet more than a right answer leaves: short rays say so little of density
+    that a few thousand pixels are content with a wrong one."""
+    for _ in range(MAX_RESEEDS):
+        along, dip, _ = _dips(settled, at, model, free)
+        if not free[along] or not CONTENT < settled.sigma < WITHIN_ROUNDING:
+            break
+        before = settled
+        found = reseed(settled, along, model, picture, free, held, seed, count=RIVAL_PIXELS)
+        tried = [before.coordinates[along]]
+        for other in found:
+            if min(abs(other.coordinates[along] - t) for t in tried) < dip / 2:
+                continue
+            tried.append(other.coordinates[along])
+            here, tangent = settle(other.coordinates, model, seen, free, held)
+            if here.log_likelihood > settled.log_likelihood:
+                settled, at = here, evidence(here, tangent, seen)
+            if len(tried) > RIVALS:
+                break
+        if settled.log_likelihood < before.log_likelihood + 1:
             break
     return settled, at
 
@@ -233,6 +281,52 @@ def _valley(
     return follow.at[along].set(1.0)
 
 
+def _projected(
+    at: np.ndarray,
+    values: np.ndarray,
+    along: int,
+    free: np.ndarray,
+    held: np.ndarray,
+    model: AbstractModel,
+    seen: Observation,
+) -> np.ndarray:
+    """(n, p) ``at`` with coordinate ``along`` at ``values`` and the free ones that the image is
+    linear in where least squares has them (variable projection: Golub & Pereyra 1973)."""
+    line = np.tile(at.astype(np.float64), (len(values), 1))
+    line[:, along] = values
+    linear = np.flatnonzero(free & model.linear())
+    known = np.isfinite(seen.lo) & np.isfinite(seen.hi)
+    if not len(linear) or seen.transfer != "none" or not known.any():
+        return line
+
+    def images(points: np.ndarray) -> np.ndarray:
+        found = _predictions(jnp.asarray(points, jnp.float32), held, model, seen)
+        return np.asarray(found, np.float64)[:, known]
+
+    # The image is b + sum_i x_i s_i. Twice one x_i shows x_i s_i; only the last, the gain's,
+    # changes with density.
+    doubled = np.tile(at, (len(linear), 1))
+    doubled[np.arange(len(linear)), linear] *= 2
+    here = images(at[None])[0]
+    parts = images(doubled) - here
+    rest = here - parts.sum(0)
+    target = ((np.asarray(seen.lo) + np.asarray(seen.hi)) / 2)[known] - rest
+    gain = images(line) - rest - parts[:-1].sum(0)
+    for i, own in enumerate(gain):
+        columns = np.stack([*parts[:-1], own])
+        gram = columns @ columns.T
+        tiny = 1e-9 * np.trace(gram) * np.eye(len(linear))
+        line[i, linear] *= np.linalg.solve(
+            gram + tiny + 1e-30 * np.eye(len(linear)), columns @ target
+        )
+    return line
+
+
+@eqx.filter_jit
+def _predictions(points, held, model, seen):
+    return jax.lax.map(lambda z: seen.predict(model.moved(z, held)), points)
+
+
 @eqx.filter_jit
 def _costs(
     points: Float[Array, "n p"],
@@ -258,29 +352,31 @@ def reseed(
     seed: int,
     *,
     tries: int = 6,
+    count: int = PIXELS,
 ) -> list[Settled]:
     """Walk along the valley of coordinate ``along`` and settle anew in its deepest dips; the best
-    first, ``start`` among them."""
-    pixels = picture.informative(PIXELS, seed)
+    first, ``start`` among them. ``count`` pixels decide."""
+    pixels = picture.informative(count, seed)
     seen = picture.observe(pixels)
     smooth = picture.observe(pixels, LADDER[1][0] * max(picture.size))
     scanned = picture.observe(picture.informative(SCAN_PIXELS, seed))
     lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
     at = start.coordinates
     here = at[along]
+    near = here * (1 + np.linspace(-0.06, 0.06, 121))
+    far = np.linspace(max(lower[along], 0.05), upper[along], FAR_VALUES)
+    values = np.sort(np.concatenate([near, far]))
+    values = values[(values >= lower[along]) & (values <= upper[along])]
     # Two lines through the start: one where all other coordinates follow along the valley's floor,
-    # one where only those that the image is linear in do, for a start that is right but for this.
-    linear = free & model.linear()
-    lines = []
-    for moving in (free, linear):
-        switch = moving.astype(np.float32)
-        switch[along] = 1
-        follow = np.asarray(_valley(jnp.asarray(at), switch, held, along, model, smooth))
-        near = here * (1 + np.linspace(-0.06, 0.06, 121))
-        far = np.linspace(max(lower[along], 0.05), upper[along], FAR_VALUES)
-        values = np.sort(np.concatenate([near, far]))
-        values = values[(values >= lower[along]) & (values <= upper[along])]
-        lines.append(np.clip(at + np.outer(values - here, follow), lower, upper))
+    # one where those that the image is linear in are solved for at every place, for a start that is
+    # right but for this.
+    switch = free.astype(np.float32)
+    switch[along] = 1
+    follow = np.asarray(_valley(jnp.asarray(at), switch, held, along, model, smooth))
+    lines = [
+        np.clip(at + np.outer(values - here, follow), lower, upper),
+        np.clip(_projected(at, values, along, free, held, model, scanned), lower, upper),
+    ]
     # As sharp as the start is good: a blunter likelihood cannot tell the dips apart, a sharper one
     # sees nothing of those whose bottom lies a little beside the line.
     sigma = float(np.clip(start.sigma, 0.02, 0.3))

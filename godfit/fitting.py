@@ -12,17 +12,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from godfit import dips, inputs, search
+from godfit import dips, inputs, screen, screen_air, search
 from godfit.contested import agreed
 from godfit.errors import InputError
+from godfit.hoffman_preetham import HoffmanPreetham
 from godfit.inference import evidence, undetermined
 from godfit.inputs import Source
-from godfit.models import Mitchell
+from godfit.models import AbstractModel, Mitchell
 from godfit.observation import Picture
-from godfit.parameters import SCATTERING
 from godfit.result import FitResult
 from godfit.scene import Scene, read_scene
-from godfit.screen import starts
 from godfit.staged import Staged, place, resized
 from godfit.timing import compile_seconds
 from godfit.verdict import Found, verdict
@@ -38,16 +37,20 @@ def fit(
     *,
     mask: Source | None = None,
     scene: Scene | str | os.PathLike[str] | None = None,
+    model: str = "mitchell",
     free: Sequence[str] = (),
     background: Source | None = None,
     shader: str | None = None,
     samples: int | None = None,
     lights: int = 1,
     pass_scale: float | None = None,
+    fov: float | None = None,
+    distance: float | np.ndarray | None = None,
     fix: Mapping[str, float | None] | None = None,
     start: Mapping[str, float] | None = None,
     valid: np.ndarray | None = None,
     transfer: str = "none",
+    channels: int | None = None,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> FitResult:
@@ -61,6 +64,8 @@ def fit(
       a light pass at lower resolution.
     - `scene`: in place of a mask, the scene (or its file) that the mask is drawn from. Its light is
       where the search starts; shader, samples and the like may stand in it.
+    - `model`: `"mitchell"`, the screen-space sum, or `"hoffman-preetham"`, daylight behind
+      occluders: the mask is then 1 where the sky is seen and 0 where something hides it.
     - `free`: what of the scene is fitted beside the scattering, as in `"light.position"`,
       `"object[0].rotation"`; the light on the screen is then the scene's. Without, the mask is
       drawn once, with or without anti-aliasing, whichever the picture agrees with.
@@ -69,10 +74,15 @@ def fit(
       `"mitchell"`; its own default number of samples.
     - `lights`: how many lights are summed.
     - `pass_scale`: the size of the light pass against the mask's, at most 1.
+    - `fov`, `distance`: of Hoffman-Preetham without a scene: the vertical field of view in degrees
+      and how far what is seen lies, a number or (h, w), in metres or in units that `scale` makes
+      metres of. With a scene, `distance` is that of the sky.
     - `fix`: parameters held, at a value or (None) at the start or the shader's default.
     - `start`: parameters to start from. None is needed.
     - `valid`: (h, w), False where the target is to be ignored.
     - `transfer`: `"none"` or `"srgb"`, how the target (and the background) were encoded.
+    - `channels`: 3 counts every channel of a grey picture, which costs time and adds no knowledge,
+      but makes likelihoods comparable with those of models that are never grey.
     - `seed`: of the choice of pixels.
     - `progress`: is called with a line of text as the fit goes on.
 
@@ -82,6 +92,7 @@ def fit(
     if (mask is None) == (scene is None):
         got = "neither" if mask is None else "both"
         raise InputError(f"fit: expected a mask or a scene, got {got}")
+    inputs.check_model(model, free, shader, lights, fov, distance)
     given = {"shader": shader, "samples": samples, "pass_scale": pass_scale}
     with jax.enable_x64(False):
         # The program is one of float32, whatever the caller has set.
@@ -91,8 +102,9 @@ def fit(
         settings |= {k: v for k, v in given.items() if v is not None}
         try:
             return _fit(
-                target, mask, background, scene, tuple(free), settings, lights, fix or {},
-                start or {}, valid, transfer, seed, progress or (lambda text: None),
+                target, mask, background, scene, model, tuple(free), settings, lights,
+                (fov, distance), fix or {}, start or {}, valid, transfer, channels, seed,
+                progress or (lambda text: None),
             )  # fmt: skip
         except jax.errors.JaxRuntimeError as error:
             raise InputError.within(error) or error from error
@@ -103,28 +115,39 @@ def _fit(
     mask: Source | None,
     background: Source | None,
     scene: Scene | None,
+    kind: str,
     staged: tuple[str, ...],
     settings: Mapping[str, Any],
     lights: int,
+    geometry: tuple[float | None, float | np.ndarray | None],
     fix: Mapping[str, float | None],
     start: Mapping[str, float],
     valid: np.ndarray | None,
     transfer: str,
+    channels: int | None,
     seed: int,
     say: Say,
 ) -> FitResult:
     began, compiled = time.perf_counter(), compile_seconds()
     images = {"target": inputs.image(target, transfer)}
     pass_scale, notes = settings.get("pass_scale", 1.0), ()
-    model: Mitchell | Staged = inputs.template(
-        settings.get("shader", "mitchell"), settings.get("samples"), lights
-    )
+    daylight = kind == HoffmanPreetham.name
     if scene is not None:
         scene = inputs.scene_for(scene, images["target"], pass_scale)
         notes, pass_scale = tuple(f"scene: {note}" for note in scene.notes), 1.0
-        images["mask"] = inputs.image(inputs.drawn(scene, scene.antialias or bool(staged)), "none")
         start = inputs.place_of(scene) | dict(start)
+    model: AbstractModel
+    if daylight:
+        model, assumed = inputs.daylight(scene, *geometry, settings.get("samples"))
+        notes += assumed
+    else:
+        model = inputs.template(settings.get("shader", "mitchell"), settings.get("samples"), lights)
+    if scene is not None:
+        smooth = scene.antialias is not False if daylight else scene.antialias or bool(staged)
+        shown = inputs.open_sky(scene) if daylight else scene
+        images["mask"] = inputs.image(inputs.drawn(shown, bool(smooth)), "none")
         if staged:
+            assert isinstance(model, Mitchell)
             model = inputs.staged(model, scene, staged)
             start = {name: value for name, value in start.items() if name in model.parameters}
     else:
@@ -133,27 +156,26 @@ def _fit(
     if background is not None:
         images["background"] = inputs.image(background, transfer)
     picture = inputs.picture(
-        images["target"], images["mask"], images.get("background"), valid, pass_scale
-    )
+        images["target"], images["mask"], images.get("background"), valid, pass_scale,
+        channels or model.channels,
+    )  # fmt: skip
     notes += tuple(f"{role}: {note}" for role, im in images.items() for note in im.notes)
     files = {role: {"path": im.path, "sha256": im.sha256} for role, im in images.items()}
     # What the picture does not need of them would stay in memory to the end.
     del images, target, mask, background
     given, held = inputs.parameters(model, fix, start)
-    shading = {row.name for row in SCATTERING}
-    used = np.array(
-        [n not in shading or n in model.convention.parameters for n in model.parameters]
-    )
+    used = model.used
     free = np.isnan(held) & used
     opened: list[tuple[int, list[int]]] = []
-    if not model.convention.own_pixel and free[0] and free[3]:
+    shows_itself = not isinstance(model, Mitchell | Staged) or model.convention.own_pixel
+    if not shows_itself and free[0] and free[3]:
         # No pixel shows its own value: exposure and weight act only through their product.
-        held[0] = given.get("exposure", model.convention.defaults["exposure"])
+        held[0] = given.get("exposure", model.defaults["exposure"])
         free[0] = False
         opened.append((0, [3]))
     if scene is not None and isinstance(model, Mitchell) and not scene.antialias:
         say("edge pixels")
-        begun = starts(picture.small, model, given, keep=STARTS, seed=seed)
+        begun = _starts(picture, model, given, seed)
         picture = agreed(picture, scene, model, begun, free, held, seed)
     found = _look(picture, model, given, free, held, opened, seed, say)
     timing = {"compile": compile_seconds() - compiled, "solve": time.perf_counter() - began}
@@ -162,7 +184,7 @@ def _fit(
 
 def _look(
     picture: Picture,
-    model: Mitchell | Staged,
+    model: AbstractModel,
     given: dict[str, float],
     free: np.ndarray,
     held: np.ndarray,
@@ -174,11 +196,12 @@ def _look(
     if isinstance(model, Staged):
         return _look_on_stage(picture, model, given, free, held, opened, seed, say)
     say("screening")
-    begun = starts(picture.small, model, given, keep=STARTS, seed=seed)
+    begun = _starts(picture, model, given, seed)
     candidates = [begun[0]]
     if free.any():
-        coordinates = search.climb(picture.small, model, begun, free, held, seed, say).coordinates
-        candidates = dips.on_subset(picture, model, coordinates, free, held, seed, say)
+        candidates = [search.climb(picture.small, model, begun, free, held, seed, say).coordinates]
+    if free.any() and model.banded:
+        candidates = dips.on_subset(picture, model, candidates[0], free, held, seed, say)
     seen = picture.observe(_pixels(picture, seed))
     say(f"all {len(seen.pixels):,} pixels")
     settled, tangent = max(
@@ -186,10 +209,22 @@ def _look(
         key=lambda found: found[0].log_likelihood,
     )
     at = evidence(settled, tangent, seen)
-    settled, at = dips.next_dips(settled, at, model, seen, free, held)
-    settled, at = dips.beat_rivals(settled, at, model, picture, seen, free, held, seed)
+    if model.banded:
+        settled, at = dips.next_dips(settled, at, model, seen, free, held)
+        settled, at = dips.beat_rivals(settled, at, model, picture, seen, free, held, seed)
+        settled, at = dips.beat_distant(settled, at, model, picture, seen, free, held, seed)
     found = Found(model, picture, seen, settled, at, free, held, opened)
     return _hold_open(found, given)
+
+
+def _starts(
+    picture: Picture, model: AbstractModel, given: dict[str, float], seed: int
+) -> list[np.ndarray]:
+    """Where the search begins, best first."""
+    if isinstance(model, HoffmanPreetham):
+        return screen_air.starts(picture.small, model, given, keep=STARTS, seed=seed)
+    assert isinstance(model, Mitchell)
+    return screen.starts(picture.small, model, given, keep=STARTS, seed=seed)
 
 
 def _look_on_stage(
@@ -229,14 +264,14 @@ def _hold_open(found: Found, given: dict[str, float]) -> Found:
     """Settle again with what the picture leaves open held, if there is such."""
     model, free, coordinates = found.model, found.free.copy(), found.settled.coordinates.copy()
     more = undetermined(
-        found.at.blunt, model.ranges(coordinates), free, keep=list(model.parameters).index("weight")
+        found.at.blunt, model.ranges(coordinates), free, list(model.parameters).index(model.kept)
     )
     if not more:
         return found
     free[[index for index, _ in more]] = False
-    if not free[0] and free[3]:
+    if not free[0] and free[3] and "exposure" in model.parameters:
         # Exposure has wandered on noise, and weight with it: back to what a user would expect.
-        default = model.convention.defaults.get("exposure", coordinates[0])
+        default = model.defaults.get("exposure", coordinates[0])
         coordinates[0] = given.get("exposure", default)
     settled, tangent = search.settle(coordinates, model, found.seen, free, found.held)
     return dataclasses.replace(

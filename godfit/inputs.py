@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import os
 from collections.abc import Mapping, Sequence
@@ -12,15 +13,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from godfit.atmosphere import Air
 from godfit.errors import InputError
+from godfit.hoffman_preetham import HoffmanPreetham, View
 from godfit.image import Image, decode, read_image
 from godfit.models import AbstractModel, Mitchell
 from godfit.observation import Picture, shrink
 from godfit.parameters import is_light
-from godfit.raster import on_screen, rasterise
+from godfit.raster import on_screen, rasterise, visible
 from godfit.scene import Scene
 from godfit.staged import Staged, resized
 from godfit.taps import convention
+
+MODELS = (Mitchell.name, HoffmanPreetham.name)
+# Of Hoffman-Preetham where nothing is said: degrees, metres, taps that D is averaged over.
+FOV, DISTANCE, AVERAGED = 60.0, 1000.0, 100
 
 Source = str | os.PathLike[str] | np.ndarray | Image
 
@@ -48,6 +55,7 @@ def picture(
     background: Image | None,
     valid: np.ndarray | None,
     pass_scale: float,
+    channels: int = 1,
 ) -> Picture:
     """Target, mask and background as one, checked against each other; see ``godfit.fit``."""
     size, values = target.values.shape[:2], mask.values
@@ -71,7 +79,8 @@ def picture(
         )
     if valid is not None and not valid.any():
         raise InputError("ignore: expected pixels to be left, got all of them ignored; ignore less")
-    return Picture.make(target, values, None if background is None else background.values, valid)
+    back = None if background is None else background.values
+    return Picture.make(target, values, back, valid, channels)
 
 
 def shrink_mask(mask: np.ndarray, pass_scale: float) -> np.ndarray:
@@ -143,8 +152,7 @@ def parameters(
                 value = given.get(name, model.defaults.get(name))
             if value is None:
                 raise InputError(
-                    f"fix: expected {name}=VALUE, got no value; '{model.shader}' has no default of "
-                    f"{name}, so give one"
+                    f"fix: expected {name}=VALUE, got no value; it has no default here"
                 )
             given[name] = float(value)
         _check(model, {n: given[n] for n in values}, option)
@@ -189,6 +197,125 @@ def place_of(scene: Scene) -> dict[str, float]:
     """Where the scene's light is on the screen."""
     u, v = np.asarray(on_screen(scene), float)
     return {"light_x": float(u), "light_y": float(v)}
+
+
+def check_model(
+    model: str,
+    free: Sequence[str],
+    shader: str | None,
+    lights: int,
+    fov: float | None,
+    distance: float | np.ndarray | None,
+) -> None:
+    """Raise InputError for what does not go together."""
+    if model not in MODELS:
+        near = difflib.get_close_matches(model, MODELS, n=1, cutoff=0.0)[0]
+        raise InputError(
+            f"model: expected one of {', '.join(MODELS)}, got '{model}'; did you mean '{near}'?"
+        )
+    if model == Mitchell.name:
+        for name, value in (("fov", fov), ("distance", distance)):
+            if value is not None:
+                raise InputError(f"{name}: expected --model {HoffmanPreetham.name} with it")
+        return
+    for name, wrong in (("free", free), ("shader", shader), ("lights", lights != 1)):
+        if wrong:
+            raise InputError(f"{name}: expected none with the model {model}, got one; leave it out")
+    if fov is not None and not 0 < fov < 180:
+        raise InputError(f"fov: expected degrees above 0 and below 180, got {fov:g}")
+    away = np.asarray(1.0 if distance is None else distance)
+    if away.ndim not in (0, 2) or not ((away > 0) & (away < np.inf)).all():
+        got = f"{away:g}" if away.ndim == 0 else f"an array {away.shape} with others in it"
+        raise InputError(f"distance: expected a finite number above 0 or (h, w) of them, got {got}")
+
+
+def daylight(
+    scene: Scene | None,
+    fov: float | None,
+    distance: float | np.ndarray | None,
+    samples: int | None,
+) -> tuple[HoffmanPreetham, tuple[str, ...]]:
+    """The model of Hoffman and Preetham at no particular point, and what was assumed for it."""
+    samples = AVERAGED if samples is None else samples
+    if not 2 <= samples <= 100_000:
+        raise InputError(f"samples: expected a whole number from 2 to 100000, got {samples}")
+    if scene is not None:
+        if fov is not None:
+            raise InputError("fov: expected none with a scene, whose camera has one; leave it out")
+        if isinstance(distance, np.ndarray):
+            raise InputError("distance: expected a number with a scene, got an array")
+        view, assumed = view_of(scene, distance), ()
+    else:
+        assumed = tuple(
+            f"{name}: {number:g} {unit} assumed; give --{name}"
+            for name, number, unit, value in (
+                ("fov", FOV, "degrees", fov), ("distance", DISTANCE, "metres", distance)
+            )
+            if value is None
+        )  # fmt: skip
+        view = View(DISTANCE if distance is None else distance, fov or FOV)
+    return HoffmanPreetham(Air(), [0.5, 0.5], view, samples), assumed
+
+
+def daylight_from(
+    settings: Mapping[str, Any],
+    values: Mapping[str, float],
+    lights: Sequence[tuple[float, float]],
+    scene: Scene | None,
+) -> HoffmanPreetham:
+    """Hoffman and Preetham's model at a point, as ``model_from``. Raises InputError where the sun's
+    irradiance or the air's scale, which have no default, are not given."""
+    fov = None if scene is not None else settings.get("fov")
+    model, _ = daylight(scene, fov, settings.get("distance"), settings.get("samples"))
+    places: dict[str, float] = {}
+    if lights:
+        places = {"light_x": lights[0][0], "light_y": lights[0][1]}
+    point = {}
+    for name in model.parameters:
+        fallback = 0.5 if is_light(name) else model.defaults.get(name)
+        value = places.get(name, values.get(name, settings.get(name, fallback)))
+        if value is None:
+            option = name.replace("_", "-")
+            raise InputError(f"{name}: expected a value, got none; give --{option}")
+        point[name] = float(value)
+    _check(model, point, "render")
+    air = Air(
+        point["turbidity"], point["g"], point["e_sun"], point["scale"],
+        phase=settings.get("phase", "normalised"),
+    )  # fmt: skip
+    return HoffmanPreetham(air, (point["light_x"], point["light_y"]), model.view, model.samples)
+
+
+def view_of(scene: Scene, distance: float | None = None) -> View:
+    """How the scene's camera sees it: what lies where nothing is drawn, and the light, which stands
+    for the sun, are ``distance`` away, or at ``camera.far``."""
+    seen = _visible(scene)
+    label, depth = np.asarray(seen.label), np.asarray(seen.depth)
+    sky = scene.camera.far if distance is None else distance
+    h, w = scene.size
+    flat = View(1.0, float(scene.camera.fov_y))
+    direction = np.asarray(flat.seen((h, w), jnp.arange(h * w))[1]).reshape(h, w, 3)
+    # Depth is along the view, distance along the ray.
+    along = np.where(label >= 2, depth, 1.0) / -direction[..., 2]
+    up = np.asarray(scene.camera_axes(), float) @ np.array([0.0, 1.0, 0.0])
+    away = np.where(label >= 2, np.minimum(along, sky), sky).astype(np.float32)
+    return View(away, float(scene.camera.fov_y), (up[0], up[1], up[2]))
+
+
+def open_sky(scene: Scene) -> Scene:
+    """The scene as a mask of what is not occluded: objects black, all else white."""
+    white, black = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
+    return dataclasses.replace(
+        scene,
+        background=white,
+        light=dataclasses.replace(scene.light, colour=white),
+        objects=tuple(dataclasses.replace(thing, colour=black) for thing in scene.objects),
+    )
+
+
+@eqx.filter_jit
+def _visible(scene: Scene):
+    return visible(scene)
 
 
 def staged(model: Mitchell, scene: Scene, names: Sequence[str]) -> Staged:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import ClassVar
 
 import equinox as eqx
@@ -16,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from godfit.parameters import Parameter, table
+from godfit.parameters import SCATTERING, Parameter, table
 from godfit.radial import radial_sum
 from godfit.radial.reference import bilinear
 from godfit.taps import Convention, Taps, convention
@@ -31,13 +32,21 @@ class AbstractModel(eqx.Module):
     """What fit and report need to know of a model."""
 
     name: eqx.AbstractClassVar[str]
-    shader: eqx.AbstractVar[str]
+    # Coordinates are held where a picture leaves them open: this one last.
+    kept: eqx.AbstractClassVar[str]
+    # (open, other): where the first is open and the other is not, only their product is known.
+    product: eqx.AbstractClassVar[tuple[str, str]]
+    # Whether the cost has a dip for every band that taps leave, see ``dips.py``.
+    banded: eqx.AbstractClassVar[bool]
+    # Channels that the image has whatever the mask has.
+    channels: eqx.AbstractClassVar[int]
     samples: eqx.AbstractVar[int]
     light: eqx.AbstractVar[Float[Array, "lights 2"]]
 
     @property
-    def convention(self) -> Convention:
-        return convention(self.shader)
+    @abstractmethod
+    def settings(self) -> dict[str, str | int | float]:
+        """What was given and not fitted, for reports: the shader and the like."""
 
     @property
     @abstractmethod
@@ -48,6 +57,11 @@ class AbstractModel(eqx.Module):
     @abstractmethod
     def defaults(self) -> dict[str, float]:
         """What parameters are where nothing is said of them."""
+
+    @property
+    def used(self) -> np.ndarray:
+        """(p,) False for parameters that say nothing here."""
+        return np.ones(len(self.parameters), bool)
 
     @abstractmethod
     def values(self) -> dict[str, Float[Array, ""]]:
@@ -69,6 +83,11 @@ class AbstractModel(eqx.Module):
     @abstractmethod
     def linear(self) -> np.ndarray:
         """(p,) True for coordinates that the light pass is linear in."""
+
+    @abstractmethod
+    def scales(self, coordinates: np.ndarray) -> np.ndarray:
+        """(p,) sizes that bring every coordinate's useful steps to order one. Unscaled,
+        Levenberg-Marquardt needs several times the steps."""
 
     @abstractmethod
     def ranges(self, coordinates: np.ndarray) -> np.ndarray:
@@ -99,6 +118,10 @@ class Mitchell(AbstractModel):
     """
 
     name: ClassVar[str] = "mitchell"
+    kept: ClassVar[str] = "weight"
+    product: ClassVar[tuple[str, str]] = ("exposure", "weight")
+    banded: ClassVar[bool] = True
+    channels: ClassVar[int] = 1
 
     exposure: Float[Array, ""]
     decay: Float[Array, ""]
@@ -116,8 +139,21 @@ class Mitchell(AbstractModel):
         self.samples = convention(shader).samples if samples is None else samples
 
     @property
+    def convention(self) -> Convention:
+        return convention(self.shader)
+
+    @property
+    def settings(self) -> dict[str, str | int | float]:
+        return {"shader": self.shader, "samples": self.samples}
+
+    @property
     def parameters(self) -> dict[str, Parameter]:
         return table(self.light.shape[0])
+
+    @property
+    def used(self) -> np.ndarray:
+        absent = {row.name for row in SCATTERING} - {*self.convention.parameters}
+        return ~np.isin(list(self.parameters), list(absent))
 
     @property
     def defaults(self) -> dict[str, float]:
@@ -160,6 +196,11 @@ class Mitchell(AbstractModel):
 
     def linear(self) -> np.ndarray:
         return np.isin(np.arange(4 + 2 * self.light.shape[0]), (0, 3))
+
+    def scales(self, coordinates: np.ndarray) -> np.ndarray:
+        floor = np.full(coordinates.shape, 0.1, np.float32)
+        floor[[0, 3]] = 1e-3
+        return np.abs(coordinates) * np.float32(0.1) + floor
 
     def ranges(self, coordinates: np.ndarray) -> np.ndarray:
         exposure, kappa, _, gain = coordinates[:4]
@@ -214,18 +255,7 @@ class Mitchell(AbstractModel):
 
         **Returns:** (H, W) or (n,), then the channels of the mask or the background.
         """
-        low = (mask.shape[0], mask.shape[1])
-        if size is None:
-            size = low
-        if size == low and (pixels is None or 4 * pixels.shape[0] >= size[0] * size[1]):
-            # A whole picture costs less than many points.
-            light = self.light_pass(mask, None, method)
-            if pixels is not None:
-                light = light.reshape(-1, *light.shape[2:])[pixels]
-        elif size == low:
-            light = self.light_pass(mask, _columns_rows(pixels, size[1], mask.dtype), method)
-        else:
-            light = self._upsampled(mask, size, pixels, method)
+        light = at_pixels(functools.partial(self.light_pass, method=method), mask, size, pixels)
         if background is None:
             return light
         if pixels is not None:
@@ -238,35 +268,53 @@ class Mitchell(AbstractModel):
             return background + light - background * light
         return self.convention.background_gain * background + light
 
-    def _upsampled(self, mask, size, pixels, method):
-        """Bilinear read of the light pass rendered at the mask's own size."""
-        (h, w), (height, width) = mask.shape[:2], size
-        if pixels is None:
-            pixels = jnp.arange(height * width)
-            shape = size
-        else:
-            shape = pixels.shape
-        at = _columns_rows(pixels, width, mask.dtype)
-        x, y = (at[:, 0] + 0.5) * w / width - 0.5, (at[:, 1] + 0.5) * h / height - 0.5
-        if 4 * pixels.shape[0] >= h * w:
-            low = jnp.clip(self.light_pass(mask, None, method), 0, 1)
-            read = functools.partial(bilinear, x=x, y=y)
-            out = read(low) if low.ndim == 2 else jax.vmap(read, -1, -1)(low)
-        else:
-            # A few pixels need no whole picture: only the four texels about each.
-            i, j = jnp.floor(x), jnp.floor(y)
-            columns, rows = (
-                jnp.clip(i[None] + jnp.array([[0], [1], [0], [1]]), 0, w - 1),
-                jnp.clip(j[None] + jnp.array([[0], [0], [1], [1]]), 0, h - 1),
-            )
-            texels = self.light_pass(mask, jnp.stack([columns, rows], -1), method)
-            texels = jnp.clip(texels, 0, 1)
-            fx, fy = x - i, y - j
-            share = jnp.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy])
-            out = jnp.einsum("kn,kn...->n...", share, texels)
-        return out.reshape(*shape, *mask.shape[2:])
+
+def at_pixels(
+    light_pass: Callable[..., Float[Array, "..."]],
+    mask: Float[Array, "h w"] | Float[Array, "h w c"],
+    size: tuple[int, int] | None,
+    pixels: Int[Array, " n"] | None,
+) -> Float[Array, "..."]:
+    """``light_pass(mask, at)`` at ``pixels`` of an image of ``size``; see ``Mitchell.__call__``."""
+    low = (mask.shape[0], mask.shape[1])
+    if size is not None and size != low:
+        return _upsampled(light_pass, mask, size, pixels)
+    if pixels is None or 4 * pixels.shape[0] >= low[0] * low[1]:
+        # A whole picture costs less than many points.
+        light = light_pass(mask, None)
+        return light if pixels is None else light.reshape(-1, *light.shape[2:])[pixels]
+    return light_pass(mask, columns_rows(pixels, low[1], mask.dtype))
 
 
-def _columns_rows(pixels, width, dtype):
+def _upsampled(light_pass, mask, size, pixels):
+    """Bilinear read of the light pass rendered at the mask's own size."""
+    (h, w), (height, width) = mask.shape[:2], size
+    if pixels is None:
+        pixels = jnp.arange(height * width)
+        shape = size
+    else:
+        shape = pixels.shape
+    at = columns_rows(pixels, width, mask.dtype)
+    x, y = (at[:, 0] + 0.5) * w / width - 0.5, (at[:, 1] + 0.5) * h / height - 0.5
+    if 4 * pixels.shape[0] >= h * w:
+        low = jnp.clip(light_pass(mask, None), 0, 1)
+        read = functools.partial(bilinear, x=x, y=y)
+        out = read(low) if low.ndim == 2 else jax.vmap(read, -1, -1)(low)
+    else:
+        # A few pixels need no whole picture: only the four texels about each.
+        i, j = jnp.floor(x), jnp.floor(y)
+        columns, rows = (
+            jnp.clip(i[None] + jnp.array([[0], [1], [0], [1]]), 0, w - 1),
+            jnp.clip(j[None] + jnp.array([[0], [0], [1], [1]]), 0, h - 1),
+        )
+        texels = light_pass(mask, jnp.stack([columns, rows], -1))
+        texels = jnp.clip(texels, 0, 1)
+        fx, fy = x - i, y - j
+        share = jnp.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy])
+        out = jnp.einsum("kn,kn...->n...", share, texels)
+    return out.reshape(*shape, *mask.shape[2:])
+
+
+def columns_rows(pixels, width, dtype):
     """Row-major indices (n,) -> (n, 2) columns and rows."""
     return jnp.stack([pixels % width, pixels // width], -1).astype(dtype)

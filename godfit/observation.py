@@ -65,15 +65,20 @@ class Picture:
 
     @staticmethod
     def make(
-        target: Image, mask: np.ndarray, background: np.ndarray | None, valid: np.ndarray | None
+        target: Image,
+        mask: np.ndarray,
+        background: np.ndarray | None,
+        valid: np.ndarray | None,
+        channels: int = 1,
     ) -> Picture:
-        """Channels that agree in target, mask and background are kept once."""
+        """Channels that agree in target, mask and background are kept once, but for a model that
+        has ``channels`` of its own."""
         encoded, grey_target = _grey(target.encoded)
         mask, grey_mask = _grey(mask)
         if background is not None:
             background, grey_background = _grey(background)
             grey_target &= grey_background
-        channels = 1 if grey_mask and grey_target else 3
+        channels = channels if grey_mask and grey_target else 3
         size = target.values.shape[:2]
         levels = np.broadcast_to(np.atleast_3d(encoded), (*size, channels)) * np.float32(LEVELS)
         if background is not None:

@@ -20,6 +20,7 @@ from godfit.observation import LEVELS
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from godfit.models import AbstractModel
     from godfit.result import Estimate, FitResult
 
 SCHEMA = 1
@@ -56,14 +57,21 @@ def _remark(e: Estimate) -> str:
     return "" if e.stderr is not None else "not determined"
 
 
+def _given(model: AbstractModel) -> str:
+    """What was not fitted, in words."""
+    return ", ".join(
+        f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
+        for name, value in model.settings.items()
+    )
+
+
 def summary(result: FitResult) -> str:
     """A plain-text table: what was fitted, to what, how well, and what remains open."""
     model = result.model
     height, width = result.picture.size
     wide = max(10, *map(len, result.params))
     lines = [
-        f"{model.name} model, shader {model.shader}, {model.samples} samples, "
-        f"{width}x{height} pixels",
+        f"{model.name} model, {_given(model)}, {width}x{height} pixels",
         "",
         f"  {'parameter':<{wide}} {'value':>13}   {'standard error':<18}",
     ]
@@ -96,8 +104,7 @@ def as_json(result: FitResult, command: str = "") -> dict[str, Any]:
         "converged": result.converged,
         "message": result.message,
         "model": model.name,
-        "shader": model.shader,
-        "samples": model.samples,
+        **model.settings,
         "params": {
             name: {
                 "value": _finite(e.value),
@@ -141,11 +148,7 @@ def plot(result: FitResult) -> Figure:
 
     picture = result.picture
     height, width = picture.size
-    residual = result.residual
-    if residual.ndim == 3:
-        # The worst channel of every pixel, with its sign.
-        worst = np.nan_to_num(np.abs(residual)).argmax(-1)
-        residual = np.take_along_axis(residual, worst[..., None], -1)[..., 0]
+    residual = worst_channel(result.residual)
     known = np.abs(residual[np.isfinite(residual)])
     limit = max(0.5, float(np.quantile(known, 0.998))) if known.size else 0.5
     step = max(1, max(height, width) // 1024)
@@ -192,7 +195,7 @@ def plot(result: FitResult) -> Figure:
     _write_parameters(figure.add_axes(place(gap, 0.05, whole[0] - gap, text)), result)
     state = "converged" if result.converged else "NOT CONVERGED"
     figure.suptitle(
-        f"{result.model.shader}, {result.model.samples} samples: {state}, residual "
+        f"{result.model.name}, {_given(result.model)}: {state}, residual "
         f"{result.rmse_levels:.2f} levels rms",
         fontsize=12,
         y=1 - 0.12 / whole[1],
@@ -200,6 +203,14 @@ def plot(result: FitResult) -> Figure:
         color="black" if result.converged else "firebrick",
     )
     return figure
+
+
+def worst_channel(residual: np.ndarray) -> np.ndarray:
+    """(h, w) the channel that is farthest off in every pixel, with its sign."""
+    if residual.ndim == 2:
+        return residual
+    worst = np.nan_to_num(np.abs(residual)).argmax(-1)
+    return np.take_along_axis(residual, worst[..., None], -1)[..., 0]
 
 
 def _mark_light(axes, u: float, v: float) -> None:

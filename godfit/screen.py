@@ -48,7 +48,7 @@ def light_grid(target: np.ndarray, seed: int) -> np.ndarray:
 
 
 @jax.jit
-def _rays(
+def read_rays(
     mask: Float[Array, "h w"], light: Float[Array, "lights 2"], at: Float[Array, "points 2"]
 ) -> Float[Array, "lights steps points"]:
     """Mask along the ray from every point to every light, at the middles of STEPS equal steps, from
@@ -130,7 +130,7 @@ def starts(
         -1,
     ).astype(np.float32)
     goal, trust = (z.ravel()[chosen].astype(np.float32) for z in (target, weight))
-    places, required = _places(light_grid(target, seed), given, lights)
+    places, required = places_for(light_grid(target, seed), given, lights)
     if shader.box:
         shapes, along, scale, own = np.ones((1, 2)), np.ones((1, 1), np.float32), 1.0, 0 * goal
         rays = _box_rays(jnp.asarray(mask), jnp.asarray(places), jnp.asarray(at), model)
@@ -144,7 +144,7 @@ def starts(
         own = ndimage.map_coordinates(mask, at[:, ::-1].T, order=1, mode="nearest")
         own = own * np.float32(lights * shader.own)
         fine = ndimage.zoom(mask, 2, order=1, mode="nearest", grid_mode=True)
-        rays = _rays(jnp.asarray(fine), jnp.asarray(places), jnp.asarray(at))
+        rays = read_rays(jnp.asarray(fine), jnp.asarray(places), jnp.asarray(at))
     groups = np.arange(len(places))[:, None]
     if lights > 1:
         groups = _best_groups(rays, jnp.asarray(along), own, goal, trust, lights, required)
@@ -152,7 +152,7 @@ def starts(
     e, g, cost = (np.asarray(z) for z in _solve(rays, jnp.asarray(along), own, goal, trust))
     spots = places[groups].reshape(len(groups), -1)
     found = []
-    for i, j in _apart(cost, spots, shapes, keep):
+    for i, j in apart(cost, spots, shapes, keep):
         exposure, gain = e[i, j] / scale, g[i, j] / scale
         if shader.box:
             exposure, gain = gain, 1.0
@@ -191,7 +191,7 @@ def _light_pass(picture: Picture, model: Mitchell) -> tuple[np.ndarray, np.ndarr
     return shrink(light.mean(-1), (SIZE, SIZE)), (trust > 0.99).astype(np.float32)
 
 
-def _places(
+def places_for(
     places: np.ndarray, given: dict[str, float], lights: int
 ) -> tuple[np.ndarray, tuple[int, ...]]:
     """Candidate places for a light, and the indices of those that must be taken."""
@@ -224,7 +224,7 @@ def _shapes(given: dict[str, float], samples: int) -> np.ndarray:
     return np.array(pairs, np.float32)
 
 
-def _apart(cost, places, shapes, keep):
+def apart(cost, places, shapes, keep):
     """Indices (place, shape) of the cheapest starts that are not neighbours of a cheaper one."""
     kept: list[tuple[int, int]] = []
     for flat in np.argsort(cost, axis=None):

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from godfit.likelihood import log_likelihood
 from godfit.models import AbstractModel, Values
 from godfit.observation import Observation, Picture
-from godfit.solver import Point, linearise, scales, solve, solve_tangent
+from godfit.solver import Point, linearise, solve, solve_tangent
 
 PIXELS = 2048
 # What is blurred needs fewer.
@@ -162,6 +162,7 @@ def settle(
     The pixels are rendered once for each round. In between, the likelihood, which is far from
     quadratic when sigma is small, is solved on the tangent, with sigma and coordinates in turn.
     """
+    start = np.clip(start, *(np.asarray(bound, np.float32) for bound in model.bounds()))
     settled, tangent = _in_rounds(start, model, seen, free, held, rounds)
     if settled.sigma > EXPLAINED:
         # On the way a few percent were enough; errors are quoted in units of it.
@@ -172,7 +173,7 @@ def settle(
 
 def _in_rounds(start, model, seen, free, held, rounds) -> tuple[Settled, Tangent]:
     def render(z):
-        scale = scales(z)
+        scale = model.scales(z)
         prediction, jacobian = linearise(z, held, scale, model, seen)
         return Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
 

@@ -37,14 +37,6 @@ class Point(NamedTuple):
     steps: int
 
 
-def scales(coordinates: np.ndarray) -> np.ndarray:
-    """Sizes that bring every coordinate's useful steps to order one. Unscaled, Levenberg-Marquardt
-    needs several times the steps."""
-    floor = np.full(coordinates.shape, 0.1, np.float32)
-    floor[[0, 3]] = 1e-3
-    return np.abs(coordinates) * np.float32(0.1) + floor
-
-
 @eqx.filter_jit
 def _least_squares(
     start: Vector,
@@ -127,7 +119,7 @@ def solve(
     the answer, without them: the way there may lead outside, where the sum is as smooth."""
 
     def run(z, moving):
-        return _least_squares(z, moving, scales(z), held, model, seen, np.float32(sigma))
+        return _least_squares(z, moving, model.scales(z), held, model, seen, np.float32(sigma))
 
     if not bounded:
         value, cost, settled, steps = run(start, free)

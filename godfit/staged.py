@@ -25,6 +25,7 @@ from godfit.scene import Scene
 from godfit.screen import starts
 from godfit.search import PIXELS
 from godfit.solver import Point, solve
+from godfit.taps import Convention
 
 # Longest side of the copies on which geometry is looked for; taps, pixels and noise on the first.
 LADDER = (64, 128, 256)
@@ -44,7 +45,11 @@ class Staged(AbstractModel):
     first four of ``Mitchell`` and the offsets; parameters are in the scene's units.
     """
 
-    name: ClassVar[str] = "mitchell"
+    name: ClassVar[str] = Mitchell.name
+    kept: ClassVar[str] = Mitchell.kept
+    product: ClassVar[tuple[str, str]] = Mitchell.product
+    banded: ClassVar[bool] = True
+    channels: ClassVar[int] = 1
 
     shading: Mitchell
     scene: Scene
@@ -57,8 +62,16 @@ class Staged(AbstractModel):
         self.offsets = jnp.zeros(count) if offsets is None else offsets
 
     @property
-    def shader(self) -> str:
-        return self.shading.shader
+    def settings(self) -> dict[str, str | int | float]:
+        return self.shading.settings
+
+    @property
+    def convention(self) -> Convention:
+        return self.shading.convention
+
+    @property
+    def used(self) -> np.ndarray:
+        return np.concatenate([self.shading.used[:4], np.ones(self.offsets.size, bool)])
 
     @property
     def samples(self) -> int:
@@ -82,7 +95,7 @@ class Staged(AbstractModel):
     def defaults(self) -> dict[str, float]:
         geometry = list(self.parameters)[4:]
         start = map(float, self._base())
-        return dict(self.convention.defaults) | dict(zip(geometry, start, strict=True))
+        return dict(self.shading.defaults) | dict(zip(geometry, start, strict=True))
 
     def values(self) -> dict[str, Float[Array, ""]]:
         four = list(self.shading.values().values())[:4]
@@ -117,6 +130,9 @@ class Staged(AbstractModel):
 
     def linear(self) -> np.ndarray:
         return np.isin(np.arange(4 + self.offsets.size), (0, 3))
+
+    def scales(self, coordinates: np.ndarray) -> np.ndarray:
+        return self.shading.scales(coordinates)
 
     def ranges(self, coordinates: np.ndarray) -> np.ndarray:
         known = self.shading.ranges(np.concatenate([coordinates[:4], np.zeros(2)]))[:4]

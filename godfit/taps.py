@@ -57,6 +57,13 @@ class Taps(eqx.Module):
         return self.own + self.c.sum()
 
 
+def average(samples: int) -> Taps:
+    """The mean of ``samples`` equal steps from the pixel to the light: of a mask that is 1 where
+    the sky is seen it makes 1 - D, the share of the ray that nothing occludes (Mitchell, GPU Gems
+    3, ch. 13, equation 3)."""
+    return Taps(0.0, 1 / samples, 1.0, 1 / samples, samples)
+
+
 @dataclass(frozen=True)
 class Convention:
     """What one shader does with its parameters.

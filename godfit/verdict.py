@@ -90,7 +90,7 @@ def verdict(
         params=params,
         covariance=covariance,
         correlations=_correlations(names, covariance),
-        undetermined=_sentences(open_, names, values),
+        undetermined=_sentences(open_, names, values, model.product),
         notes=notes,
         noise_levels=settled.sigma,
         rmse_levels=rmse,
@@ -142,16 +142,20 @@ def _correlations(names: list[str], covariance: np.ndarray) -> dict[str, float]:
 
 
 def _sentences(
-    open_: list[tuple[int, list[int]]], names: list[str], values: np.ndarray
+    open_: list[tuple[int, list[int]]],
+    names: list[str],
+    values: np.ndarray,
+    product: tuple[str, str],
 ) -> tuple[str, ...]:
     """What is left open, in words."""
     opened = [index for index, _ in open_]
     said, alone = [], []
     for index, partners in open_:
         rest = [names[i] for i in partners if i not in opened]
-        if names[index] == "exposure" and 3 not in opened:
-            product = values[0] * values[3]
-            said.append(f"only exposure*weight is determined ({product:.6g})")
+        other = names.index(product[1])
+        if names[index] == product[0] and other not in opened:
+            both = values[index] * values[other]
+            said.append(f"only {product[0]}*{product[1]} is determined ({both:.6g})")
         elif rest:
             together = " and ".join([names[index], *rest])
             said.append(f"only a combination of {together} is determined")

@@ -358,11 +358,11 @@ def label(
 ) -> tuple[np.ndarray, np.ndarray]:
     """What lies at the pixel centres: label (h, w) int32, 1/depth (h, w), 0 where nothing is."""
     labels, q = np.full(size, BACKGROUND, np.int32), np.zeros(size)
-    _share_rows(size[0], lambda a, b: _label_rows(triangles, lens, centre, radius, a, b, labels, q))
+    share_rows(size[0], lambda a, b: _label_rows(triangles, lens, centre, radius, a, b, labels, q))
     return labels, q
 
 
-def _share_rows(height: int, work) -> None:
+def share_rows(height: int, work) -> None:
     """Call work(first, last) for bands of rows, on all cores."""
     cores = os.cpu_count() or 1
     # More bands than cores: objects seldom fill the picture evenly.
@@ -757,7 +757,7 @@ def contours(
         wanted |= _changes(colour_of[labels])
     share = np.zeros((height, width, colours), np.float64)
     weight = np.zeros((len(listed), colours, 4))
-    _share_rows(
+    share_rows(
         height,
         lambda a, b: _sweep_rows(
             triangles, edges, colour_of, labels, wanted, crossing, lens, centre, radius,

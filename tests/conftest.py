@@ -21,7 +21,12 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 # What numba compiles cannot be wrapped: it is loaded first, and all else once more.
-COMPILED = ("godfit.visibility", "godfit.radial.compiled", "godfit.radial.foreign")
+COMPILED = (
+    "godfit.visibility",
+    "godfit.shadows",
+    "godfit.radial.compiled",
+    "godfit.radial.foreign",
+)
 compiled = {name: importlib.import_module(name) for name in COMPILED}
 for name in [n for n in sys.modules if n.split(".")[0] == "godfit"]:
     del sys.modules[name]
