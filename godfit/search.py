@@ -6,6 +6,7 @@ starts that fall behind are dropped. ``settle`` finds coordinates and noise that
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ PIXELS = 2048
 BLURRED_PIXELS = 256
 # Blur (as a share of the longer side), starts kept, sigma in levels.
 LADDER = ((1 / 64, 3, 4.0), (1 / 128, 2, 2.0), (1 / 256, 1, 1.0), (1 / 512, 1, 1.0))
+ALL = 6
 # Noise below this many levels means that even the rounding of every pixel is explained.
 EXPLAINED = 0.05
 # Noise below this is lost in the rounding: masks that were rounded themselves leave as much.
@@ -33,6 +35,8 @@ WALLS = 1 << 14
 # Gain in log-likelihood for which pixels are not rendered again: kinks of the mask make it jump by
 # as much between one float32 and the next.
 SHORT = 4.0
+# Where there are no bands there are no kinks that matter.
+SHORT_WITHOUT = 0.05
 SIGMA_VALUES, FINAL_SIGMA_VALUES = 1 << 12, 1 << 15
 SIGMAS = (0.005 * 3.0 ** np.arange(10)).astype(np.float32)
 
@@ -57,23 +61,30 @@ def best_sigma(
 ) -> tuple[float, float]:
     """Noise in levels that makes the pixels likeliest, and their log-likelihood.
 
-    A grid of sigmas is refined by finer ones about its best, on ``part_of`` the values: n of them
-    know sigma to a share of 1/sqrt(2 n).
+    A grid of sigmas is refined by finer ones about its best and at last by a parabola, on
+    ``part_of`` the values: n of them know sigma to a share of 1/sqrt(2 n). The values are the same
+    at every call, and the parabola leaves no grid, so that likelihoods can be compared: of n values
+    sigma off by a share d costs n d^2.
     """
-    values, whole = (prediction, seen.lo, seen.hi), True
+    values = (prediction, seen.lo, seen.hi)
     if prediction.shape[0] > part_of:
         # Drawn at random: a regular stride would fall into step with the rows.
         part = np.random.default_rng(0).integers(0, prediction.shape[0], part_of)
-        values, whole = tuple(np.asarray(z)[part] for z in values), False
+        values = tuple(np.asarray(z)[part] for z in values)
     sigmas, ratio = SIGMAS, SIGMAS[1] / SIGMAS[0]
     for _ in range(3 if part_of == SIGMA_VALUES else 4):
         found = np.asarray(_log_likelihoods(*values, sigmas), np.float64)
         at = int(np.nanargmax(found))
-        best, likelihood = float(sigmas[at]), float(found[at])
+        best, step = float(sigmas[at]), math.log(ratio)
+        if 0 < at < len(sigmas) - 1 and np.isfinite(found[at - 1 : at + 2]).all():
+            before, here, after = found[at - 1 : at + 2]
+            bend = before - 2 * here + after
+            best *= math.exp(step * 0.5 * (before - after) / bend) if bend < 0 else 1.0
+            best = min(max(best, float(SIGMAS[0])), float(SIGMAS[-1]))
         ratio **= 0.25
         sigmas = best * ratio ** np.linspace(-4.5, 4.5, len(SIGMAS))
         sigmas = np.clip(sigmas, SIGMAS[0], SIGMAS[-1]).astype(np.float32)
-    return best, likelihood if whole else log_likelihood_at(prediction, seen, best)
+    return best, log_likelihood_at(prediction, seen, best)
 
 
 def log_likelihood_at(prediction: np.ndarray, seen: Observation, sigma: float) -> float:
@@ -101,9 +112,11 @@ def climb(
             solve(p.coordinates, free, held, model, seen, sigma, bounded=False) for p in points
         ]
         points.sort(key=lambda p: p.cost)
-        points = _distinct(points)[:keep]
+        # Without bands all starts are cheap to follow, and the right one may fall behind at first.
+        points = _distinct(points)[: keep if model.banded else ALL]
     seen = picture.observe(pixels)
-    return solve(points[0].coordinates, free, held, model, seen, 0.3)
+    points = [solve(p.coordinates, free, held, model, seen, 0.3) for p in points]
+    return min(points, key=lambda p: p.cost)
 
 
 def _distinct(points: list[Point]) -> list[Point]:
@@ -181,9 +194,10 @@ def _in_rounds(start, model, seen, free, held, rounds) -> tuple[Settled, Tangent
     sigma, likelihood = best_sigma(tangent.prediction, seen)
     best = Settled(start, sigma, likelihood, False)
     part = 1.0
+    short = SHORT if model.banded else SHORT_WITHOUT
     for _ in range(rounds):
         aim, there = _aim(best, tangent, model, seen, free)
-        if aim.log_likelihood < best.log_likelihood + SHORT:
+        if aim.log_likelihood < best.log_likelihood + short:
             # So short a step that the tangent is as good as another rendering.
             return aim, there
         z = best.coordinates + np.float32(part) * (aim.coordinates - best.coordinates)
@@ -199,7 +213,7 @@ def _in_rounds(start, model, seen, free, held, rounds) -> tuple[Settled, Tangent
         else:
             # Over a kink of the bilinear mask the tangent promises too much.
             part = 0.25
-        if abs(gained) < 0.5:
+        if abs(gained) < short / 8:
             return best._replace(quiet=True), tangent
     return best, tangent
 
