@@ -5,8 +5,8 @@
 Targets are marched (``godfit.volume``): a sun over a box between the camera and the horizon, over
 turbidity, the sun's elevation, g, optical depth and the size of the box; 96x96 bytes, exposed so
 that the brightest channel's 98th percentile is 230 levels. Mitchell is given what a shader would
-have: a bright disc on a dim sky, in the sunlight's colour, behind the black box. Hoffman-Preetham
-is given where the sky is seen and how far things are. The light is free for both.
+have: a bright disc on a dim sky, in the picture's mean colour, behind the black box.
+Hoffman-Preetham is given where the sky is seen and how far things are. The light is free for both.
 
 Printed: how often each is within 1, 2 and 4 levels rms, how Mitchell's kappa follows the optical
 depth and its gain E_sun beta/beta_ex, and two pictures that neither can show.
@@ -25,7 +25,7 @@ import numpy as np
 import scenes
 
 from godfit import InputError, fit, rasterise
-from godfit.atmosphere import Air, sunlight
+from godfit.atmosphere import Air
 from godfit.inputs import view_of
 from godfit.scene import Scene, read_scene
 from godfit.volume import render
@@ -84,10 +84,9 @@ def target_of(scene: Scene, air: Air) -> tuple[np.ndarray, float]:
     return scenes.to_bytes(image * exposure), exposure
 
 
-def shader_mask(scene: Scene, setting: dict[str, float]) -> np.ndarray:
-    """Disc and dim sky in the sun's colour, as bytes."""
-    zenith = np.radians(90 - setting["elevation"])
-    colour = np.asarray(sunlight(setting["turbidity"], zenith), float)
+def shader_mask(scene: Scene, target: np.ndarray) -> np.ndarray:
+    """Disc and dim sky (DawnTime's share) in the target's mean colour, as bytes."""
+    colour = target.reshape(-1, 3).mean(0)
     colour = colour / colour.max()
 
     def dimmed(share: float) -> tuple[float, float, float]:
@@ -97,14 +96,14 @@ def shader_mask(scene: Scene, setting: dict[str, float]) -> np.ndarray:
     # The disc is far beyond the camera's reach in this air; a shader draws it all the same.
     camera = dataclasses.replace(scene.camera, far=1e6)
     light = dataclasses.replace(scene.light, colour=dimmed(1.0))
-    drawn = dataclasses.replace(scene, camera=camera, light=light, background=dimmed(0.3))
+    drawn = dataclasses.replace(scene, camera=camera, light=light, background=dimmed(0.07))
     return np.round(255 * np.asarray(rasterise(drawn))).astype(np.uint8)
 
 
 def case(setting: dict[str, float], folder: Path) -> Case:
     scene, air = stage(folder, setting), air_for(setting)
     target, exposure = target_of(scene, air)
-    sum_ = fit(target, mask=shader_mask(scene, setting), shader="mitchell", samples=100)
+    sum_ = fit(target, mask=shader_mask(scene, target), shader="mitchell", samples=100)
     day = fit(target, scene=scene, model="hoffman-preetham", samples=100)
     _, kappa, _, gain, *_ = np.asarray(sum_.model.coordinates())
     # Towards the middle of the frame, in green.
@@ -163,7 +162,7 @@ def beyond(folder: Path) -> None:
     for name, x in (("an occluder in the frame", 0.4), ("the same outside it", 5.6)):
         scene, air = stage(folder, setting, x), air_for(setting)
         target, _ = target_of(scene, air)
-        mask = shader_mask(scene, setting)
+        mask = shader_mask(scene, target)
         rms = (
             fit(target, mask=mask, shader="mitchell", samples=100).rmse_levels,
             fit(target, scene=scene, model="hoffman-preetham", samples=100).rmse_levels,
