@@ -153,23 +153,35 @@ def recovery(first: int, last: int, noises: list[float]) -> None:
 
 
 def preference(first: int, last: int) -> None:
+    """A line for every pair of targets, one of each model's, and how often each was preferred."""
     right = {"hoffman-preetham": 0, "mitchell": 0}
     count = 0
     for seed in range(first, last):
         for kind, other in zip(KINDS, scenes.FRESH, strict=True):
             count += 1
             view, image, _ = draw(seed, kind)
-            found = compare(
-                scenes.to_bytes(image, 0.0, seed), mask=view["mask"], fov=view["fov"],
-                distance=view["distance"], samples=SAMPLES, shader="dawntime",
-            )  # fmt: skip
-            right["hoffman-preetham"] += found.best.result.model.name == "hoffman-preetham"
+            sunny = compare(
+                scenes.to_bytes(image, 0.0, seed),
+                mask=view["mask"],
+                fov=view["fov"],
+                distance=view["distance"],
+                samples=SAMPLES,
+                shader="dawntime",
+            )
             mask, image, truth = scenes.draw(seed, other, SIZE)
-            found = compare(
-                scenes.to_bytes(image, 0.0, seed), mask=mask, fov=60.0, distance=1000.0,
-                samples=int(truth["samples"]), shader="dawntime",
-            )  # fmt: skip
-            right["mitchell"] += found.best.result.model.name == "mitchell"
+            shaded = compare(
+                scenes.to_bytes(image, 0.0, seed),
+                mask=mask,
+                fov=60.0,
+                distance=1000.0,
+                samples=int(truth["samples"]),
+                shader="dawntime",
+            )
+            chosen = [found.best.result.model.name for found in (sunny, shaded)]
+            right["hoffman-preetham"] += chosen[0] == "hoffman-preetham"
+            right["mitchell"] += chosen[1] == "mitchell"
+            print(f"  seed {seed}: {kind} by hoffman-preetham prefers {chosen[0]}, "
+                  f"{other} by mitchell prefers {chosen[1]}", flush=True)  # fmt: skip
             jax.clear_caches()
     for name, number in right.items():
         print(f"targets of {name}: {number} of {count} prefer it", flush=True)
