@@ -64,7 +64,7 @@ def on_subset(
     seen = picture.observe(picture.informative(PIXELS, seed))
     settled, tangent = settle(coordinates, model, seen, free, held)
     along, dip, doubtful = _dips(settled, evidence(settled, tangent, seen), model, free)
-    if not doubtful and settled.sigma < 2 * SIGMAS[0]:
+    if not free[along] or (not doubtful and settled.sigma < 2 * SIGMAS[0]):
         return [settled.coordinates]
     say("other densities")
     found = reseed(settled, along, model, picture, free, held, seed)
