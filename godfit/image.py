@@ -9,6 +9,7 @@ to 8), Pillow for JPEG (the only one which notices a cut file), tifffile, OpenEX
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import hashlib
 import io
 import os
@@ -74,6 +75,17 @@ def read_image(path: str | os.PathLike[str], *, transfer: str = "none") -> Image
 
     Raises InputError, naming the path, for anything which cannot be read whole and exactly.
     """
+    image, alpha = read_layer(path, transfer=transfer)
+    if alpha is None or (alpha >= 1).all():
+        return image
+    note = "The alpha channel is not full everywhere; it was dropped."
+    return dataclasses.replace(image, notes=(*image.notes, note))
+
+
+def read_layer(
+    path: str | os.PathLike[str], *, transfer: str = "none"
+) -> tuple[Image, np.ndarray | None]:
+    """As ``read_image``, and the alpha channel, (h, w) float32 from 0 to 1, None without one."""
     _known(transfer)
     name = os.fsdecode(path)
     try:
@@ -88,10 +100,10 @@ def read_image(path: str | os.PathLike[str], *, transfer: str = "none") -> Image
         with _quiet():
             codes = reader(data, notes)
         del data  # up to a third of the memory in use
-        values, quantum = _linear(codes, transfer, notes)
+        values, quantum, alpha = _linear(codes, transfer, notes)
     except Exception as error:
         raise InputError(f"{name!r} ({kind}): {str(error) or type(error).__name__}") from error
-    return Image(values, quantum, transfer, name, digest, tuple(notes))
+    return Image(values, quantum, transfer, name, digest, tuple(notes)), alpha
 
 
 def write_image(
@@ -189,17 +201,20 @@ def _check_shape(shape: tuple[int, ...]) -> None:
         raise InputError(f"expected from 1 to {MAX_PIXELS} pixels, got {shape[0]} x {shape[1]}")
 
 
-def _linear(codes: np.ndarray, transfer: str, notes: list[str]) -> tuple[np.ndarray, float | None]:
-    """The stored samples (h, w[, 1 to 4]) -> linear float32 values and quantum; adds to notes."""
+def _linear(
+    codes: np.ndarray, transfer: str, notes: list[str]
+) -> tuple[np.ndarray, float | None, np.ndarray | None]:
+    """The stored samples (h, w[, 1 to 4]) -> linear float32 values, quantum and alpha, which no
+    transfer concerns; adds to notes."""
     _check_shape(codes.shape)
     kind = codes.dtype.newbyteorder("=").name
     if kind not in ("uint8", "uint16", "float16", "float32", "float64"):
         raise InputError(f"expected uint8, uint16 or 16 to 64-bit float samples, got {kind}")
     top = float(np.iinfo(codes.dtype).max) if codes.dtype.kind == "u" else 1.0
+    alpha = None
     if codes.ndim == 3:
         if codes.shape[2] in (2, 4):
-            if not (codes[..., -1] >= top).all():
-                notes.append("The alpha channel is not full everywhere; it was dropped.")
+            alpha = _by_rows(lambda rows: rows / top, codes[..., -1], np.float32)
             codes = codes[..., :-1]
         if codes.shape[2] == 1:
             codes = codes[..., 0]
@@ -207,9 +222,10 @@ def _linear(codes: np.ndarray, transfer: str, notes: list[str]) -> tuple[np.ndar
         notes.append("64-bit floats were rounded to 32 bits.")
     if codes.dtype.kind == "u":
         table = decode(np.arange(top + 1) / top, transfer).astype(np.float32)
-        return _by_rows(lambda rows: table[rows], codes, np.float32), 1 / top
+        return _by_rows(lambda rows: table[rows], codes, np.float32), 1 / top, alpha
     with np.errstate(over="ignore", invalid="ignore"):  # _finite reports them
-        return _finite(_by_rows(lambda rows: decode(rows, transfer), codes, np.float32)), None
+        values = _finite(_by_rows(lambda rows: decode(rows, transfer), codes, np.float32))
+    return values, None, alpha
 
 
 @contextlib.contextmanager

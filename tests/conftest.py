@@ -24,6 +24,7 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 COMPILED = (
     "godfit.visibility",
     "godfit.shadows",
+    "godfit.flatland.compiled",
     "godfit.radial.compiled",
     "godfit.radial.foreign",
 )

@@ -1,0 +1,144 @@
+"""Canvases for the light in the plane: what is drawn, and the sky that it stands in.
+
+A canvas is an RGBA picture: colour is emission, alpha opacity, black and opaque hides. Every one but
+the sand's is drawn larger by formula and averaged; all are rounded to bytes before anything is
+rendered from them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import sand
+
+SKY, SUN = (0.02, 0.08, 0.2), (0.95, 0.95, 0.9)
+FRAMES, EVERY, SEED = 6, 60, 11
+COLOURS = ((1.0, 0.55, 0.15), (0.2, 0.75, 1.0), (0.75, 0.25, 0.9))
+
+
+class Truth(NamedTuple):
+    """A sky: angle and width of the sun in degrees, radiances, exposure."""
+
+    sun_angle: float
+    sun_width: float
+    sun: tuple[float, float, float]
+    sky: tuple[float, float, float]
+    exposure: float
+
+
+class Sheet:
+    """RGBA to draw on, four by four samples a pixel; x and y in picture heights, y up."""
+
+    FINE = 4
+
+    def __init__(self, height: int, width: int):
+        v = 1 - (np.arange(height * self.FINE) + 0.5) / (height * self.FINE)
+        u = (np.arange(width * self.FINE) + 0.5) / (height * self.FINE)
+        self.x, self.y = np.meshgrid(u, v)
+        self.colour = np.zeros((*self.x.shape, 3))
+        self.alpha = np.zeros(self.x.shape)
+
+    def draw(self, inside: np.ndarray, colour=(0.0, 0.0, 0.0)) -> None:
+        self.colour[inside], self.alpha[inside] = colour, 1.0
+
+    def near(self, points: np.ndarray, thickness: float) -> np.ndarray:
+        """Within half a thickness of the line through ``points``."""
+        found = np.zeros(self.x.shape, bool)
+        for (ax, ay), (bx, by) in zip(points[:-1], points[1:], strict=True):
+            dx, dy = bx - ax, by - ay
+            along = ((self.x - ax) * dx + (self.y - ay) * dy) / (dx * dx + dy * dy)
+            along = along.clip(0, 1)
+            found |= np.hypot(self.x - ax - along * dx, self.y - ay - along * dy) < thickness / 2
+        return found
+
+    def done(self) -> np.ndarray:
+        """(h, w, 4) bytes, colour not multiplied by alpha."""
+        both = np.concatenate([self.colour * self.alpha[..., None], self.alpha[..., None]], -1)
+        h, w = (n // self.FINE for n in self.alpha.shape)
+        mean = both.reshape(h, self.FINE, w, self.FINE, 4).mean((1, 3))
+        mean[..., :3] /= np.maximum(mean[..., 3:], 1e-9)
+        return np.floor(mean * 255 + 0.5).astype(np.uint8)
+
+
+def stroke(height: int = 256, width: int = 256) -> np.ndarray:
+    """A glowing stroke beside a black one that throws its shadow, and a lamp at its end."""
+    s = Sheet(height, width)
+    t = np.linspace(0, 1, 60)
+    wave = np.stack([0.18 + 0.5 * t, 0.62 + 0.13 * np.sin(2 * np.pi * t)], -1)
+    s.draw(s.near(wave, 0.035), (1.0, 0.45, 0.1))
+    shadow = np.stack([0.3 + 0.45 * t, 0.33 + 0.06 * np.cos(3 * t)], -1)
+    s.draw(s.near(shadow, 0.04))
+    s.draw(np.hypot(s.x - 0.8, s.y - 0.72) < 0.05, (0.3, 0.6, 1.0))
+    return s.done()
+
+
+def window(height: int = 160, width: int = 288) -> np.ndarray:
+    """A room seen from the side: walls, a floor, a window with a bar, a table and a red lamp."""
+    s = Sheet(height, width)
+    aspect = width / height
+    s.draw(s.y < 0.06)
+    s.draw((s.y > 0.93) & (s.x > 0.3))
+    s.draw((np.abs(s.x - 0.4) < 0.02) & ((s.y < 0.42) | (s.y > 0.78)))
+    s.draw((np.abs(s.x - 0.4) < 0.015) & (np.abs(s.y - 0.6) < 0.012))
+    s.draw(s.x > aspect - 0.05)
+    s.draw((np.abs(s.x - 1.1) < 0.17) & (np.abs(s.y - 0.32) < 0.015))
+    for leg in (0.97, 1.23):
+        s.draw((np.abs(s.x - leg) < 0.012) & (s.y < 0.32))
+    s.draw(np.hypot(s.x - 1.55, s.y - 0.8) < 0.03, (0.9, 0.15, 0.1))
+    return s.done()
+
+
+def maze(size: int = 192, cells: int = 12, seed: int = 3) -> np.ndarray:
+    """Walls between cells, a way open to every cell, with lamps in some and gaps to the sky."""
+    rng = np.random.default_rng(seed)
+    # Every cell opens upwards or to the right: a binary tree, so that there is a way out.
+    up = rng.random((cells, cells)) < 0.5
+    up[:, -1], up[0, :] = True, False
+    canvas = np.zeros((size, size, 4), np.uint8)
+    pitch = size // cells
+    for row in range(cells):
+        for column in range(cells):
+            top, left = row * pitch, column * pitch
+            if not up[row, column]:
+                canvas[top : top + 2, left : left + pitch, 3] = 255
+            if up[row, column] and column < cells - 1:
+                canvas[top : top + pitch, left + pitch - 2 : left + pitch, 3] = 255
+    for row, column, colour in ((2, 3, (255, 200, 90)), (7, 8, (80, 255, 120)), (9, 2, (90, 140, 255))):
+        y, x = row * pitch + pitch // 2, column * pitch + pitch // 2
+        canvas[y - 2 : y + 3, x - 2 : x + 3] = (*colour, 255)
+    return canvas
+
+
+def of_sand(cells: np.ndarray, scale: int) -> np.ndarray:
+    """(scale h, scale w, 4): what is solid hides, a grain glows in its colour, fainter than a lamp."""
+    colours = np.zeros((sand.GRAIN + len(COLOURS), 4))
+    colours[sand.SOLID] = (0, 0, 0, 1)
+    for i, colour in enumerate(COLOURS):
+        colours[sand.GRAIN + i] = (*(0.6 * np.array(colour)), 1)
+    table = np.floor(colours * 255 + 0.5).astype(np.uint8)
+    return table[cells].repeat(scale, 0).repeat(scale, 1)
+
+
+def sand_frames(count: int = FRAMES, every: int = EVERY, size: int = 96) -> list[np.ndarray]:
+    """States of the falling sand."""
+    return list(sand.frames(sand.hourglass(size, SEED), count, every, SEED))
+
+
+# The canvas, its sky and what it is for.
+CANVASES = {
+    "plane_stroke": (stroke, Truth(140.0, 40.0, SUN, SKY, 0.9), "the source's demonstration"),
+    "plane_window": (
+        window, Truth(155.0, 25.0, (2.4, 2.2, 1.8), (0.1, 0.16, 0.25), 1.0),
+        "a shaft of light through a window, wider than high",
+    ),
+    "plane_maze": (
+        maze, Truth(60.0, 70.0, (1.2, 1.1, 1.0), (0.1, 0.12, 0.2), 0.8),
+        "far from the sky; most rays are short",
+    ),
+}  # fmt: skip
+
+
+def sand_truth(frame: int, frames: int) -> Truth:
+    """The sun passes overhead while the sand falls."""
+    return Truth(150.0 - 120.0 * frame / (frames - 1), 45.0, (0.7, 0.65, 0.55), SKY, 1.0)

@@ -1,0 +1,449 @@
+"""The walk of rays through a canvas, compiled by numba, and its names as XLA custom calls.
+
+Arrays are those of ``godfit.flatland.rays.Prepared``: ``free`` (h + 2, w + 2), how far a ray may go
+from anywhere in a cell without meeting anything, or FILLED or OUTSIDE; ``cells``
+((h + 2) (w + 2), 4), what a cell adds to a ray and its opacity; ``directions`` (rays kinds, 2), right
+and down; ``sky`` (rays kinds, 3); ``turn`` (h, w), which of the kinds a pixel's rays take.
+``numbers`` are the length of a step, 0 for one that goes by ``free``, and the little that takes a
+ray across a cell's border; ``whole`` are the rays, kinds, steps and the first row.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from numba import njit
+
+from godfit.cache import numba_keeps
+from godfit.radial.foreign import asks_version, matrix, register, result, vector
+
+FILLED, OUTSIDE = -1.0, -2.0
+# Pixels of a row whose rays go side by side, in vector registers.
+LANES = 32
+# How a walk ends: nothing more to see, outside, at its limit.
+SPENT, LEFT, ARRIVED = 0, 1, 2
+_compiled = njit(
+    cache=numba_keeps(), nogil=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"}
+)
+
+
+@_compiled
+def _inverse(component, real):
+    """1 / component, large but finite for a ray along an axis."""
+    return real(1) / component if abs(component) > 1e-9 else real(1e9)
+
+
+@_compiled
+def _first(free, x, y, dx, dy, step, little):
+    """Where a ray has left its own cell, whatever that holds, and the steps that ended inside."""
+    real = free.dtype.type
+    column, row = np.int32(x), np.int32(y)
+    used = np.int32(0)
+    if step > 0:
+        t = step
+        while np.int32(x + t * dx) == column and np.int32(y + t * dy) == row:
+            t += step
+            used += np.int32(1)
+        return t, used
+    right, below = real(dx >= 0), real(dy >= 0)
+    edge = min(
+        (real(column) + right - x) * _inverse(dx, real), (real(row) + below - y) * _inverse(dy, real)
+    )
+    return max(max(free[row, column], real(0)), edge + little), used
+
+
+@_compiled
+def _walk(free, cells, x, y, dx, dy, t, last, limit, step, little, steps, opaque, hits):
+    """Filled cells that a ray from (x, y) crosses from ``t`` to ``limit`` on, in ``hits``, until
+    ``opaque`` of them let nothing through: their number and how the walk ended. ``last`` is a cell
+    that does not count any more."""
+    width = free.shape[1]
+    real = free.dtype.type
+    across, down = _inverse(dx, real), _inverse(dy, real)
+    right, below = real(dx >= 0), real(dy >= 0)
+    high, wide = real(free.shape[0] - 1), real(width - 1)
+    found, blocked = 0, 0
+    for _ in range(steps):
+        if t >= limit:
+            return found, ARRIVED
+        column = np.int32(min(max(x + t * dx, real(0)), wide))
+        row = np.int32(min(max(y + t * dy, real(0)), high))
+        value = free[row, column]
+        if value == OUTSIDE:
+            return found, LEFT
+        cell = row * width + column
+        if value == FILLED and cell != last:
+            hits[found] = cell
+            found += 1
+            if cells[cell, 3] >= 1:
+                blocked += 1
+                if blocked == opaque:
+                    return found, SPENT
+        last = cell
+        if step > 0:
+            t += step
+        else:
+            edge = (
+                min((real(column) + right - x) * across, (real(row) + below - y) * down) + little
+            )
+            t = max(t + max(value, real(0)), edge)
+    return found, SPENT
+
+
+@_compiled
+def _blend(cells, hits, found, ended, sky, light):
+    """What the walk sees, in ``light`` (4,): radiance and what passes."""
+    passing = light.dtype.type(1)
+    light[:] = 0
+    for n in range(found):
+        cell = hits[n]
+        for c in range(3):
+            light[c] += passing * cells[cell, c]
+        passing *= 1 - cells[cell, 3]
+    light[3] = passing
+    if ended == LEFT:
+        for c in range(3):
+            light[c] += passing * sky[c]
+
+
+@_compiled
+def _picture(free, cells, directions, sky, turn, numbers, whole, out):
+    """Rows of the mean over a pixel's rays, (rows, w, 3); or, (rows, w, 3 + rays), of that mean
+    without a sky and what every ray lets through, divided by the number of rays."""
+    real = free.dtype.type
+    rays, kinds, steps, begin = whole[0], whole[1], whole[2], whole[3]
+    step, little = numbers[0], numbers[1]
+    rows, w = out.shape[0], out.shape[1]
+    width = np.int32(free.shape[1])
+    flat = free.reshape(-1)
+    high, wide = real(free.shape[0] - 1), real(width - 1)
+    apart = out.shape[2] > 3
+    x, t = np.empty(LANES, free.dtype), np.empty(LANES, free.dtype)
+    dx, dy = np.empty(LANES, free.dtype), np.empty(LANES, free.dtype)
+    across, down = np.empty(LANES, free.dtype), np.empty(LANES, free.dtype)
+    right, below = np.empty(LANES, free.dtype), np.empty(LANES, free.dtype)
+    kind, used = np.empty(LANES, np.int64), np.empty(LANES, np.int32)
+    hits = np.empty(free.shape[0] * 2 + free.shape[1] * 2, np.int64)
+    light, nothing = np.empty(4, free.dtype), np.zeros(3, free.dtype)
+    one, share = np.int32(1), real(1) / real(rays)
+    unlimited = real(np.inf)
+    for i in range(rows):
+        y = real(begin + i) + real(1.5)
+        for left in range(0, w, LANES):
+            within = min(LANES, w - left)
+            for p in range(LANES):
+                x[p] = real(min(left + p, w - 1)) + real(1.5)
+            for p in range(within):
+                for c in range(out.shape[2]):
+                    out[i, left + p, c] = 0
+            for r in range(rays):
+                for p in range(LANES):
+                    kind[p] = r * kinds + turn[begin + i, min(left + p, w - 1)]
+                    dx[p], dy[p] = directions[kind[p], 0], directions[kind[p], 1]
+                    across[p], down[p] = _inverse(dx[p], real), _inverse(dy[p], real)
+                    right[p], below[p] = real(dx[p] >= 0), real(dy[p] >= 0)
+                    t[p], used[p] = _first(free, x[p], y, dx[p], dy[p], step, little)
+                # In empty cells, side by side: no lane has a branch.
+                if step > 0:
+                    for _ in range(steps):
+                        moving = 0
+                        for p in range(LANES):
+                            u, v = x[p] + t[p] * dx[p], y + t[p] * dy[p]
+                            u = u if u > 0 else real(0)
+                            v = v if v > 0 else real(0)
+                            u = u if u < wide else wide
+                            v = v if v < high else high
+                            value = flat[np.int32(v) * width + np.int32(u)]
+                            going = value >= 0 and used[p] < steps
+                            t[p] = t[p] + step if going else t[p]
+                            used[p] += one if going else np.int32(0)
+                            moving += one if going else np.int32(0)
+                        if moving == 0:
+                            break
+                else:
+                    for _ in range(steps):
+                        moving = 0
+                        for p in range(LANES):
+                            u, v = x[p] + t[p] * dx[p], y + t[p] * dy[p]
+                            u = u if u > 0 else real(0)
+                            v = v if v > 0 else real(0)
+                            u = u if u < wide else wide
+                            v = v if v < high else high
+                            column, row = np.int32(u), np.int32(v)
+                            value = flat[row * width + column]
+                            a = (real(column) + right[p] - x[p]) * across[p]
+                            b = (real(row) + below[p] - y) * down[p]
+                            edge = (a if a < b else b) + little
+                            there = t[p] + value
+                            there = there if there > edge else edge
+                            t[p] = there if value >= 0 else t[p]
+                            used[p] += one if value >= 0 else np.int32(0)
+                            moving += one if value >= 0 else np.int32(0)
+                        if moving == 0:
+                            break
+                for p in range(within):
+                    to = out[i, left + p]
+                    own = np.int64(y) * width + np.int64(x[p])
+                    found, ended = _walk(
+                        free, cells, x[p], y, dx[p], dy[p], t[p], own, unlimited, step, little,
+                        steps - used[p], 1, hits,
+                    )  # fmt: skip
+                    _blend(cells, hits, found, ended, nothing if apart else sky[kind[p]], light)
+                    for c in range(3):
+                        to[c] += light[c] * share
+                    if apart and ended == LEFT:
+                        to[3 + r] = light[3] * share
+
+
+@_compiled
+def _moved(free, cells, directions, sky, turn, numbers, whole, d_cells, d_sky, out):
+    """``_picture``'s derivative along d_cells and d_sky."""
+    real = free.dtype.type
+    rays, kinds, steps, begin = whole[0], whole[1], whole[2], whole[3]
+    step, little = numbers[0], numbers[1]
+    width = free.shape[1]
+    hits = np.empty(free.shape[0] * 2 + free.shape[1] * 2, np.int64)
+    share, unlimited = real(1) / real(rays), real(np.inf)
+    for i in range(out.shape[0]):
+        y = real(begin + i) + real(1.5)
+        for j in range(out.shape[1]):
+            x = real(j) + real(1.5)
+            to = out[i, j]
+            to[:] = 0
+            own = np.int64(y) * width + np.int64(x)
+            for r in range(rays):
+                k = r * kinds + turn[begin + i, j]
+                dx, dy = directions[k, 0], directions[k, 1]
+                t, used = _first(free, x, y, dx, dy, step, little)
+                found, ended = _walk(
+                    free, cells, x, y, dx, dy, t, own, unlimited, step, little, steps - used, 2,
+                    hits,
+                )  # fmt: skip
+                passing, d_passing = share, real(0)
+                for n in range(found):
+                    cell = hits[n]
+                    for c in range(3):
+                        to[c] += d_passing * cells[cell, c] + passing * d_cells[cell, c]
+                    open_ = 1 - cells[cell, 3]
+                    d_passing = d_passing * open_ - passing * d_cells[cell, 3]
+                    passing *= open_
+                if ended == LEFT:
+                    for c in range(3):
+                        to[c] += d_passing * sky[k, c] + passing * d_sky[k, c]
+
+
+@_compiled
+def _pulled(free, cells, directions, sky, turn, numbers, whole, pull, out):
+    """``_moved``'s transpose: ``pull`` (h, 3 w), out (1, cells + rays kinds, 4)."""
+    real = free.dtype.type
+    rays, kinds, steps, begin, end = whole[0], whole[1], whole[2], whole[3], whole[4]
+    step, little = numbers[0], numbers[1]
+    width, count = free.shape[1], cells.shape[0]
+    hits = np.empty(free.shape[0] * 2 + free.shape[1] * 2, np.int64)
+    share, unlimited = real(1) / real(rays), real(np.inf)
+    passings, behind = np.empty(len(hits) + 1, free.dtype), np.empty(3, free.dtype)
+    to = out[0]
+    to[:] = 0
+    for i in range(begin, end):
+        y = real(i) + real(1.5)
+        for j in range(turn.shape[1]):
+            x = real(j) + real(1.5)
+            own = np.int64(y) * width + np.int64(x)
+            g = pull[i, 3 * j : 3 * j + 3]
+            if g[0] == 0 and g[1] == 0 and g[2] == 0:
+                continue
+            for r in range(rays):
+                k = r * kinds + turn[i, j]
+                dx, dy = directions[k, 0], directions[k, 1]
+                t, used = _first(free, x, y, dx, dy, step, little)
+                found, ended = _walk(
+                    free, cells, x, y, dx, dy, t, own, unlimited, step, little, steps - used, 2,
+                    hits,
+                )  # fmt: skip
+                passings[0] = share
+                for n in range(found):
+                    passings[n + 1] = passings[n] * (1 - cells[hits[n], 3])
+                behind[:] = 0
+                if ended == LEFT:
+                    for c in range(3):
+                        behind[c] = sky[k, c]
+                        to[count + k, c] += g[c] * passings[found]
+                for n in range(found - 1, -1, -1):
+                    cell = hits[n]
+                    lost = real(0)
+                    for c in range(3):
+                        to[cell, c] += g[c] * passings[n]
+                        lost += g[c] * behind[c]
+                        behind[c] = cells[cell, c] + (1 - cells[cell, 3]) * behind[c]
+                    to[cell, 3] -= passings[n] * lost
+
+
+@_compiled
+def _cascade(free, cells, directions, upper, numbers, whole, out):
+    """One cascade with the one above it merged, (rows, columns, 4 rays): radiance and what passes
+    of every ray of the probes of some rows; see ``godfit.flatland.cascades``.
+
+    ``directions`` (rays, 2); ``upper`` (upper rows columns, 4 branch rays); ``numbers`` are spacing,
+    start and end of this cascade's interval, spacing of the next (0: there is none) and the little;
+    ``whole`` the first row, the upper rows and columns, and how many of its rays one becomes.
+    """
+    real = free.dtype.type
+    spacing, start, end, above, little = (
+        numbers[0], numbers[1], numbers[2], numbers[3], numbers[4],
+    )  # fmt: skip
+    begin, up_rows, up_columns, branch = whole[0], whole[1], whole[2], whole[3]
+    steps = np.int64(4 * (free.shape[0] + free.shape[1]))
+    hits = np.empty(free.shape[0] * 2 + free.shape[1] * 2, np.int64)
+    light, nothing = np.empty(4, free.dtype), np.zeros(3, free.dtype)
+    rays = directions.shape[0]
+    last = above == 0
+    half = real(0.5)
+    for i in range(out.shape[0]):
+        y = (real(begin + i) + half) * spacing + 1
+        for j in range(out.shape[1]):
+            x = (real(j) + half) * spacing + 1
+            if last:
+                first_row, first_column, low, side = 0, 0, real(0), real(0)
+            else:
+                low = (y - 1) / above - half
+                side = (x - 1) / above - half
+                first_row, first_column = int(np.floor(low)), int(np.floor(side))
+                low, side = low - first_row, side - first_column
+            for r in range(rays):
+                dx, dy = directions[r, 0], directions[r, 1]
+                to = out[i, j, 4 * r : 4 * r + 4]
+                to[:] = 0
+                for corner in range(1 if last else 4):
+                    down, over = corner // 2, corner % 2
+                    weight = (low if down else 1 - low) * (side if over else 1 - side)
+                    if weight == 0:
+                        continue
+                    ahead_x, ahead_y = x + dx * end, y + dy * end
+                    row = min(max(first_row + down, 0), up_rows - 1)
+                    column = min(max(first_column + over, 0), up_columns - 1)
+                    if not last:
+                        # To where that probe's own interval starts, not to where this one's ends:
+                        # so no light is lost or counted twice between the two.
+                        ahead_x = (real(column) + half) * above + 1 + dx * end
+                        ahead_y = (real(row) + half) * above + 1 + dy * end
+                    from_x, from_y = x + dx * start, y + dy * start
+                    way_x, way_y = ahead_x - from_x, ahead_y - from_y
+                    far = np.sqrt(way_x * way_x + way_y * way_y)
+                    light[:] = 0
+                    light[3] = 1
+                    if far > 0:
+                        own = np.int64(-1)
+                        if start == 0:
+                            own = np.int64(from_y) * free.shape[1] + np.int64(from_x)
+                        found, ended = _walk(
+                            free, cells, from_x, from_y, way_x / far, way_y / far, real(0), own,
+                            far, real(0), little, steps, 1, hits,
+                        )  # fmt: skip
+                        _blend(cells, hits, found, SPENT, nothing, light)
+                    if not last:
+                        seen = upper[row * up_columns + column]
+                        for b in range(branch):
+                            at = 4 * (r * branch + b)
+                            for c in range(3):
+                                to[c] += weight * light[3] * seen[at + c] / branch
+                            to[3] += weight * light[3] * seen[at + 3] / branch
+                    else:
+                        to[3] += weight * light[3]
+                    for c in range(3):
+                        to[c] += weight * light[c]
+
+
+@_compiled
+def _render(frame, real):
+    if not asks_version(frame):
+        _picture(
+            matrix(frame, 0, real), matrix(frame, 1, real), matrix(frame, 2, real),
+            matrix(frame, 3, real), matrix(frame, 4, np.int32), vector(frame, 5, real),
+            vector(frame, 6, np.int32), result(frame, real),
+        )  # fmt: skip
+    return 0
+
+
+@_compiled
+def _tangent(frame, real):
+    if not asks_version(frame):
+        _moved(
+            matrix(frame, 0, real), matrix(frame, 1, real), matrix(frame, 2, real),
+            matrix(frame, 3, real), matrix(frame, 4, np.int32), vector(frame, 5, real),
+            vector(frame, 6, np.int32), matrix(frame, 7, real), matrix(frame, 8, real),
+            result(frame, real),
+        )  # fmt: skip
+    return 0
+
+
+@_compiled
+def _transpose(frame, real):
+    if not asks_version(frame):
+        _pulled(
+            matrix(frame, 0, real), matrix(frame, 1, real), matrix(frame, 2, real),
+            matrix(frame, 3, real), matrix(frame, 4, np.int32), vector(frame, 5, real),
+            vector(frame, 6, np.int32), matrix(frame, 7, real), result(frame, real),
+        )  # fmt: skip
+    return 0
+
+
+@_compiled
+def _merge(frame, real):
+    if not asks_version(frame):
+        _cascade(
+            matrix(frame, 0, real), matrix(frame, 1, real), matrix(frame, 2, real),
+            matrix(frame, 3, real), vector(frame, 4, real), vector(frame, 5, np.int32),
+            result(frame, real),
+        )  # fmt: skip
+    return 0
+
+
+def _render_single(frame):
+    return _render(frame, np.float32)
+
+
+def _render_double(frame):
+    return _render(frame, np.float64)
+
+
+def _tangent_single(frame):
+    return _tangent(frame, np.float32)
+
+
+def _tangent_double(frame):
+    return _tangent(frame, np.float64)
+
+
+def _transpose_single(frame):
+    return _transpose(frame, np.float32)
+
+
+def _transpose_double(frame):
+    return _transpose(frame, np.float64)
+
+
+def _merge_single(frame):
+    return _merge(frame, np.float32)
+
+
+def _merge_double(frame):
+    return _merge(frame, np.float64)
+
+
+@functools.cache
+def target(kind: str, double: bool) -> str:
+    """The name of a compiled function, which is compiled or loaded when it is first asked for."""
+    function = {
+        ("render", False): _render_single,
+        ("render", True): _render_double,
+        ("tangent", False): _tangent_single,
+        ("tangent", True): _tangent_double,
+        ("transpose", False): _transpose_single,
+        ("transpose", True): _transpose_double,
+        ("merge", False): _merge_single,
+        ("merge", True): _merge_double,
+    }[kind, double]
+    name = f"godfit_flatland{function.__name__}"
+    register(name, function)
+    return name

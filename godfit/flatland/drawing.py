@@ -1,0 +1,207 @@
+"""Shapes that a canvas is drawn from, differentiable in where they are, and their TOML file.
+
+Places and lengths are in picture heights, x to the right and y up, (0, 0) the bottom-left corner; an
+edge is ``softness`` pixels wide. The distance to every shape is exact (after Quilez, "2D distance
+functions"), also inside, so an edge is as wide wherever it is.
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from godfit.errors import InputError
+from godfit.flatland.canvas import Canvas
+from godfit.scene import MAX_SIZE, _Table
+
+# Of every kind: its numbers and how many there are of each.
+KINDS: dict[str, dict[str, int]] = {
+    "disc": {"centre": 2, "radius": 1},
+    "segment": {"start": 2, "end": 2, "thickness": 1},
+    "box": {"centre": 2, "size": 2, "angle": 1},
+    "polygon": {"points": 0},
+}
+SOFTNESS = 1.0
+
+
+class Shape(eqx.Module):
+    """A disc (centre, radius), a segment (start, end, thickness), a box (centre, size, angle in
+    degrees) or a polygon (points (n, 2), in order either way round, not crossing itself), of one
+    radiance (3,) and opacity ()."""
+
+    kind: str = eqx.field(static=True)
+    numbers: dict[str, Float[Array, "..."]]
+    radiance: Float[Array, "3"]
+    opacity: Float[Array, ""]
+
+    def __init__(self, kind, radiance=(0.0, 0.0, 0.0), opacity=1.0, **numbers):
+        self.kind = kind
+        self.numbers = {name: jnp.asarray(value, float) for name, value in numbers.items()}
+        self.radiance, self.opacity = jnp.asarray(radiance, float), jnp.asarray(opacity, float)
+
+    def distance(
+        self, x: Float[Array, "h w"], y: Float[Array, "h w"]
+    ) -> Float[Array, "h w"]:
+        """From (x, y) to the edge, negative inside."""
+        n = self.numbers
+        if self.kind == "disc":
+            return _length(x - n["centre"][0], y - n["centre"][1]) - n["radius"]
+        if self.kind == "segment":
+            return _to_segment(x, y, n["start"], n["end"]) - n["thickness"] / 2
+        if self.kind == "box":
+            turn = jnp.deg2rad(n["angle"])
+            c, s = jnp.cos(turn), jnp.sin(turn)
+            dx, dy = x - n["centre"][0], y - n["centre"][1]
+            a = jnp.abs(c * dx + s * dy) - n["size"][0] / 2
+            b = jnp.abs(c * dy - s * dx) - n["size"][1] / 2
+            return _length(jnp.maximum(a, 0), jnp.maximum(b, 0)) + jnp.minimum(jnp.maximum(a, b), 0)
+        return _to_polygon(x, y, n["points"])
+
+    def shifted(self, by: Float[Array, "2"]) -> Shape:
+        """The shape elsewhere."""
+        numbers = dict(self.numbers)
+        for name in ("centre", "start", "end"):
+            if name in numbers:
+                numbers[name] = numbers[name] + by
+        if "points" in numbers:
+            numbers["points"] = numbers["points"] + by[None]
+        return eqx.tree_at(lambda s: s.numbers, self, numbers)
+
+
+class Drawing(eqx.Module):
+    """Shapes, later ones over earlier ones, on a canvas of ``size`` (h, w) pixels."""
+
+    shapes: tuple[Shape, ...]
+    size: tuple[int, int] = eqx.field(static=True)
+    softness: float = eqx.field(static=True, default=SOFTNESS)
+    settings: tuple[tuple[str, Any], ...] = eqx.field(static=True, default=())
+
+    def drawn(self) -> Canvas:
+        """The canvas, differentiable in every number of every shape."""
+        h, w = self.size
+        y = jnp.broadcast_to(1 - (jnp.arange(h) + 0.5)[:, None] / h, (h, w))
+        x = jnp.broadcast_to((jnp.arange(w) + 0.5)[None] / h, (h, w))
+        radiance, opacity = jnp.zeros((h, w, 3)), jnp.zeros((h, w))
+        for shape in self.shapes:
+            # From one at half the softness inside to none at half outside, and smooth at both ends.
+            t = jnp.clip(0.5 - shape.distance(x, y) * h / self.softness, 0, 1)
+            cover = t * t * (3 - 2 * t)
+            hidden = cover * shape.opacity
+            own = jnp.expand_dims(shape.radiance, (0, 1))
+            radiance = cover[..., None] * own + (1 - hidden)[..., None] * radiance
+            opacity = hidden + (1 - hidden) * opacity
+        return Canvas(radiance, opacity)
+
+
+def _length(a, b):
+    """hypot, with a derivative of zero where it has none."""
+    square = a * a + b * b
+    safe = jnp.where(square > 0, square, 1)
+    return jnp.where(square > 0, jnp.sqrt(safe), 0)
+
+
+def _to_segment(x, y, start, end):
+    dx, dy = end[0] - start[0], end[1] - start[1]
+    square = dx * dx + dy * dy
+    along = ((x - start[0]) * dx + (y - start[1]) * dy) / jnp.where(square > 0, square, 1)
+    along = jnp.clip(along, 0, 1)
+    return _length(x - start[0] - along * dx, y - start[1] - along * dy)
+
+
+def _to_polygon(x, y, points):
+    near, inside = jnp.full(x.shape, jnp.inf), jnp.zeros(x.shape, bool)
+    for i in range(points.shape[0]):
+        a, b = points[i - 1], points[i]
+        near = jnp.minimum(near, _to_segment(x, y, a, b))
+        spans = (a[1] > y) != (b[1] > y)
+        rise = jnp.where(a[1] == b[1], 1, b[1] - a[1])
+        inside ^= spans & (x < a[0] + (y - a[1]) * (b[0] - a[0]) / rise)
+    return jnp.where(inside, -near, near)
+
+
+def read_drawing(path: str | os.PathLike[str]) -> Drawing:
+    """Read a scene of shapes; raises InputError naming the file, the key, what was expected and got.
+
+    ``[image]`` has width and height and may have softness; ``[[shape]]`` a kind, its numbers,
+    radiance (three numbers of 0 or more, or "#rrggbb") and opacity; ``[sky]`` may have sun_angle,
+    sun_width, sun and sky.
+    """
+    path = Path(path)
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"'{path}': expected a scene of shapes, got no such file") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"'{path}': expected TOML, got {error}; mend the file") from error
+    root = _Table(path, "", data)
+    image, sky = root.table("image"), root.table("sky", {})
+    shapes = [_shape(_Table(path, f"shape[{i}]", t)) for i, t in enumerate(root.tables("shape"))]
+    root.finish()
+    size = image.whole("height", 1, MAX_SIZE), image.whole("width", 1, MAX_SIZE)
+    softness = image.number("softness", SOFTNESS, above=0.0)
+    settings = [(k, sky.number(k)) for k in ("sun_angle", "sun_width") if k in sky.data]
+    settings += [(k, tuple(_radiance(sky, k))) for k in ("sun", "sky") if k in sky.data]
+    sky.asked += ["sun_angle", "sun_width", "sun", "sky"]
+    for table in (image, sky):
+        table.finish()
+    return Drawing(tuple(shapes), size, softness, tuple(settings))
+
+
+def _shape(table: _Table) -> Shape:
+    kind = table.text("kind")
+    if kind not in KINDS:
+        got = "nothing; add it" if kind is None else repr(kind)
+        raise table.error("kind", f"one of {', '.join(KINDS)}", got)
+    numbers: dict[str, Any] = {}
+    for name, count in KINDS[kind].items():
+        if count == 1:
+            default = 0.0 if name == "angle" else None
+            numbers[name] = table.number(name, default, -np.inf if name == "angle" else 0.0)
+        elif count == 2:
+            numbers[name] = _numbers(table, name, (2,), above=0.0 if name == "size" else -np.inf)
+        else:
+            numbers[name] = _numbers(table, name, (None, 2))
+    opacity = table.number("opacity", 1.0)
+    if not 0 <= opacity <= 1:
+        raise table.error("opacity", "a number from 0 to 1", f"{opacity:g}")
+    radiance = _radiance(table, "radiance")
+    table.finish()
+    return Shape(kind, radiance, opacity, **numbers)
+
+
+def _radiance(table: _Table, key: str) -> list[float]:
+    value = table.get(key, "#000000", "a colour")
+    if isinstance(value, str):
+        return list(table.colour(key, "#000000"))
+    found = _numbers(table, key, (3,))
+    if min(found) < 0:
+        raise table.error(key, "three numbers of 0 or more", repr(value))
+    return found
+
+
+def _numbers(table: _Table, key: str, shape: tuple, above: float = -np.inf) -> list:
+    expected = "two numbers" if shape == (2,) else "three numbers"
+    if shape == (None, 2):
+        expected = "three or more places [x, y]"
+    if above > -np.inf:
+        expected += f" above {above:g}"
+    value = table.get(key, None, expected)
+    try:
+        found = np.array(value, float)
+    except (TypeError, ValueError):
+        found = np.full(0, np.nan)
+    right = found.ndim == len(shape) and all(
+        n in (m, None) for n, m in zip(shape, found.shape, strict=True)
+    )
+    if shape == (None, 2):
+        right = right and found.shape[0] >= 3
+    if not right or not (np.isfinite(found) & (found > above)).all():
+        raise table.error(key, expected, repr(value))
+    return found.tolist()

@@ -1,0 +1,138 @@
+"""The light in the plane as a model that ``godfit.fit`` can fit: the sky about a known canvas.
+
+What reaches a pixel is linear in the sky, so rays go once: the "mask" of this model is
+``basis(canvas, rays)``, and a picture for any sky is a product with it. Blurring or averaging it is
+the same as blurring or averaging the picture.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from godfit.flatland.canvas import Canvas
+from godfit.flatland.rays import passing
+from godfit.flatland.sky import Sky
+from godfit.models import AbstractModel, Vector
+from godfit.parameters import Parameter
+
+PARAMETERS = (
+    Parameter("exposure", "E", "1", 0.0, math.inf, "scale of the whole picture"),
+    Parameter("sun_angle", "phi", "degrees", -math.inf, math.inf, "counterclockwise from the right"),
+    Parameter("sun_width", "omega", "degrees", 0.1, 180.0, "how far to either side the sun reaches"),
+    *(
+        Parameter(f"{name}_{c}", "L", "1", 0.0, math.inf, f"radiance of the {name}, {colour}")
+        for name in ("sun", "sky")
+        for c, colour in zip("rgb", ("red", "green", "blue"), strict=True)
+    ),
+)
+# Rays of a pixel where nothing is said.
+RAYS = 64
+
+
+def basis(canvas: Canvas, rays: int) -> Float[Array, "h w channels"]:
+    """(h, w, 3 + rays) what a pixel shows of the canvas itself, and how much of the sky's every
+    R-th."""
+    h, w = canvas.size
+    open_ = (1 - canvas.opacity)[..., None]
+    return (open_ * passing(canvas, rays, h + w + 2)).at[..., :3].add(canvas.radiance)
+
+
+class Flatland(AbstractModel):
+    """``exposure`` (), the ``sky`` and the number of rays (``samples``, not differentiated).
+
+    Fit coordinates, one for each parameter and in their order: exposure, angle, width, exposure times
+    the sun's radiance, exposure times the sky's. All but angle and width are linear.
+    """
+
+    name: ClassVar[str] = "flatland"
+    kept: ClassVar[str] = "sky_g"
+    product: ClassVar[tuple[str, str]] = ("exposure", "sky_g")
+    banded: ClassVar[bool] = False
+    channels: ClassVar[int] = 3
+
+    exposure: Float[Array, ""]
+    sky: Sky
+    samples: int = eqx.field(static=True, default=RAYS)
+
+    def __init__(self, exposure=1.0, sky: Sky | None = None, samples: int = RAYS):
+        self.exposure = jnp.asarray(exposure, float)
+        self.sky = Sky() if sky is None else sky
+        self.samples = samples
+
+    @property
+    def light(self) -> Float[Array, "0 2"]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """No light has a place in the picture."""
+        return jnp.zeros((0, 2), self.exposure.dtype)
+
+    @property
+    def settings(self) -> dict[str, str | int | float]:
+        return {"rays": self.samples}
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        return {p.name: p for p in PARAMETERS}
+
+    @property
+    def defaults(self) -> dict[str, float]:
+        return {"exposure": 1.0}
+
+    def values(self) -> dict[str, Float[Array, ""]]:
+        sky = self.sky
+        numbers = (self.exposure, sky.angle, sky.width, *sky.sun, *sky.sky)
+        return dict(zip(self.parameters, numbers, strict=True))
+
+    def coordinates(self) -> Float[Array, " p"]:
+        sky = self.sky
+        alone = jnp.stack([self.exposure, sky.angle, sky.width])
+        return jnp.concatenate([alone, self.exposure * sky.sun, self.exposure * sky.sky])
+
+    def moved(self, coordinates: Vector, held: Vector | None = None) -> Flatland:
+        if held is None:
+            held = jnp.full_like(coordinates, jnp.nan)
+        alone = jnp.where(jnp.isnan(held[:3]), coordinates[:3], held[:3])
+        # Without exposure there is no light, whatever the colours: the guard keeps 0/0 out.
+        shown = jnp.where(alone[0] == 0, 1.0, alone[0])
+        colours = jnp.where(jnp.isnan(held[3:]), coordinates[3:] / shown, held[3:])
+        sky = Sky(alone[1], alone[2], colours[:3], colours[3:])
+        return Flatland(alone[0], sky, self.samples)
+
+    def bounds(self) -> tuple[list[float], list[float]]:
+        return [p.lower for p in PARAMETERS], [p.upper for p in PARAMETERS]
+
+    def linear(self) -> np.ndarray:
+        return ~np.isin(np.arange(len(PARAMETERS)), (1, 2))
+
+    def scales(self, coordinates: np.ndarray) -> np.ndarray:
+        # Degrees: an angle's size says nothing of its useful steps.
+        size = np.abs(coordinates) * np.float32(0.1) + np.float32(1e-2)
+        size[1], size[2] = 5.0, max(0.1 * abs(coordinates[2]), 1.0)
+        return size.astype(np.float32)
+
+    def ranges(self, coordinates: np.ndarray) -> np.ndarray:
+        colours = np.maximum(coordinates[3:], 0.1)
+        return np.concatenate([[max(coordinates[0], 0.2), 90.0, 45.0], colours])
+
+    def __call__(
+        self,
+        mask: Float[Array, "h w"] | Float[Array, "h w c"],
+        background: Float[Array, "..."] | None = None,
+        *,
+        size: tuple[int, int] | None = None,
+        pixels: Int[Array, " n"] | None = None,
+    ) -> Float[Array, "..."]:
+        """(h, w, 3) or (n, 3), linear, not clamped. ``mask`` is ``basis(canvas, samples)``; there is
+        no ``background``, and ``size`` is the canvas's."""
+        if background is not None:
+            raise ValueError("flatland: expected no background, got one; draw it on the canvas")
+        parts = mask.reshape(-1, mask.shape[-1])
+        if pixels is not None:
+            parts = parts[pixels]
+        around = self.exposure * self.sky.over(self.samples)
+        image = self.exposure * parts[:, :3] + parts[:, 3:] @ around.astype(parts.dtype)
+        return image.reshape(*(mask.shape[:2] if pixels is None else pixels.shape), 3)
