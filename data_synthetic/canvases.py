@@ -104,7 +104,11 @@ def maze(size: int = 192, cells: int = 12, seed: int = 3) -> np.ndarray:
                 canvas[top : top + 2, left : left + pitch, 3] = 255
             if up[row, column] and column < cells - 1:
                 canvas[top : top + pitch, left + pitch - 2 : left + pitch, 3] = 255
-    for row, column, colour in ((2, 3, (255, 200, 90)), (7, 8, (80, 255, 120)), (9, 2, (90, 140, 255))):
+    for row, column, colour in (
+        (2, 3, (255, 200, 90)),
+        (7, 8, (80, 255, 120)),
+        (9, 2, (90, 140, 255)),
+    ):
         y, x = row * pitch + pitch // 2, column * pitch + pitch // 2
         canvas[y - 2 : y + 3, x - 2 : x + 3] = (*colour, 255)
     return canvas

@@ -93,7 +93,7 @@ def test_march_converges_to_the_distance_march():
     made = canvas(*oracle.random_canvas((48, 64), 8))
     exact = rendered(made, rays=32)
     errors = []
-    for steps in (40, 160, 2000):
+    for steps in (100, 1000, 20000):
         off = rendered(made, rays=32, method="march", steps=steps) - exact
         errors.append(math.sqrt(np.mean(off**2) / np.mean(exact**2)))
     assert errors[0] > errors[1] > errors[2]
@@ -104,25 +104,20 @@ class TestClosedForms:
     """Within half a percent at 256 rays."""
 
     def test_disc(self):
-        """A disc of radius R fills asin(R / r) / pi of the circle at distance r."""
-        h = w = 201
-        radius, middle = 20.0, 100.5
-        made = Drawing(
-            (Shape("disc", (1.0, 1.0, 1.0), centre=(middle / h, middle / h), radius=radius / h),),
-            (h, w),
-        ).drawn()
-        found = light(made, Sky.none(), 256)[..., 0]
-        y, x = np.mgrid[:h, :w] + 0.5 - middle
-        r = np.hypot(x, y)
-        far = (r > 1.3 * radius) & (r < 95)
+        """A disc of radius R fills asin(R / r) / pi of the circle at distance r. R is large against
+        a pixel: what is drawn with pixels that stick out is seen as if it were 0.4 pixels larger."""
+        h, w, radius = 290, 430, 140.0
+        y, x = np.indices((h, w)) + 0.5
+        r = np.hypot(x - 145, y - 145)
+        opacity = (r < radius).astype(float)
+        made = canvas(np.repeat(opacity[..., None], 3, -1), opacity)
+        far = r > 1.1 * radius
+        found = light(made, Sky.none(), 256)[..., 0][far]
         expected = np.arcsin(radius / r[far]) / np.pi
-        # A pixel's rays are few enough to be counted: the mean over pixels as far off is the test.
-        ring = np.digitize(r[far], np.linspace(26, 95, 12))
-        for k in range(1, 12):
-            ratio = found[far][ring == k].mean() / expected[ring == k].mean()
-            assert abs(ratio - 1) < 5e-3
-        rms = np.sqrt(np.mean((found[far] - expected) ** 2) / np.mean(expected**2))
-        assert rms < 0.03
+        rms = np.sqrt(np.mean((found - expected) ** 2) / np.mean(expected**2))
+        assert abs(found.mean() / expected.mean() - 1) < 5e-3
+        # Of single pixels, 256 rays can be one too many or too few.
+        assert rms < 0.01
 
     def test_half_plane(self):
         """Over an endless dark ground at depth d below, half the circle is sky."""
@@ -134,7 +129,8 @@ class TestClosedForms:
         found = light(made, sky, 256)[:40, w // 2]
         depth = 50 - (np.arange(40) + 0.5)
         expected = 0.5 + np.arctan(depth / (w / 2)) / np.pi
-        np.testing.assert_allclose(found[:, 0], expected, rtol=5e-3)
+        rms = np.sqrt(np.mean((found[:, 0] - expected) ** 2))
+        assert rms < 5e-3 * expected.mean()
 
     def test_slit(self):
         """A slit of width a between two walls, seen from a distance b off its middle."""
@@ -150,7 +146,7 @@ class TestClosedForms:
         y, x = np.meshgrid(rows + 0.5, columns + 0.5, indexing="ij")
         # The wall is one pixel thick: each ray is stopped by the nearer or the farther of its faces.
         left, right = x - 45, 45 + a - x
-        low = np.arctan2(np.where(left > 0, left, left), np.where(left > 0, y - 30, y - 31))
+        low = np.arctan2(left, np.where(left > 0, y - 30, y - 31))
         high = np.arctan2(right, np.where(right > 0, y - 30, y - 31))
         expected = np.maximum(low + high, 0) / (2 * np.pi)
         inside = found[40:110, 20:100]
@@ -238,7 +234,8 @@ class TestNoise:
         assert (one != other).mean() > 0.9
 
     def test_jitter_is_unbiased(self):
-        many = np.mean([rendered(self.MADE, rays=4, jitter=True, seed=s) for s in range(200)], 0)
+        frame = jax.jit(lambda seed: render(self.MADE, SKY, rays=4, jitter=True, seed=seed))
+        many = np.mean([frame(s) for s in range(200)], 0)
         exact = rendered(self.MADE, rays=256)
         assert abs((many - exact).mean()) < 2e-3
         assert np.abs(many - exact).max() < 0.15

@@ -2,6 +2,7 @@
 
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -37,16 +38,19 @@ def test_defect_rays_are_a_radian_apart_and_uneven():
     rays = 32
     even = gaps(angles(rays, 1, float))
     np.testing.assert_allclose(even, 2 * np.pi / rays)
-    added = gaps(2 * np.pi / rays + np.arange(rays) + 0.3)
-    assert added.max() > 2 * even.max()
+    published = 2 * np.pi / rays + np.arange(rays) + 0.3
+    np.testing.assert_allclose(np.diff(published), 1)
+    assert gaps(published).max() > 2 * gaps(published).min()
+
     # A narrow sun (smooth in both) is seen by few or many rays as it goes round: the mean over an
     # empty canvas should not depend on where it stands.
     def spread(published):
-        means = []
-        for angle in range(0, 360, 5):
-            sky = Sky(float(angle), 12.0, (1.0, 1.0, 1.0), DARK)
-            picture = render(empty(3, 3), sky, rays=rays, published=published)
-            means.append(float(picture[1, 1, 0]))
+        @jax.jit
+        def mean(angle):
+            sky = Sky(angle, 12.0, (1.0, 1.0, 1.0), DARK)
+            return render(empty(3, 3), sky, rays=rays, published=published)[1, 1, 0]
+
+        means = [mean(float(angle)) for angle in range(0, 360, 5)]
         return np.std(means) / np.mean(means)
 
     assert spread(False) < 1e-9
@@ -87,21 +91,22 @@ def test_defect_distances_are_not_metric_where_the_canvas_is_not_square():
 def test_defect_epsilon_is_under_a_pixel_and_rays_starve_beside_a_wall():
     """Above a long black floor the lower half of the circle is dark. The published rays that run
     beside the floor use up their steps and see the sky instead."""
-    h, w = 100, 400
+    h, w = 30, 120
     assert as_published.EPSILON < 1 / w
     opacity = np.zeros((h, w))
-    opacity[70:] = 1
+    opacity[21:] = 1
     made = canvas(np.zeros((h, w, 3)), opacity)
     sky = Sky(90.0, 60.0, DARK, (1.0, 1.0, 1.0))
 
     def near(steps):
-        picture = render(made, sky, rays=256, published=True, steps=steps)
-        return np.asarray(picture)[64:69, 150:250, 0].mean()
+        picture = jax.jit(lambda: render(made, sky, rays=48, published=True, steps=steps))()
+        return np.asarray(picture)[20, 45:75, 0].mean()
 
-    enough = near(1000)
-    assert near(32) > 1.02 * enough
-    ours = np.asarray(render(made, sky, rays=256))[64:69, 150:250, 0].mean()
-    assert ours == pytest.approx(0.5 + math.atan(3.5 / 200) / math.pi, abs=0.01)
+    # Beside a seed the field says one pixel: a ray that falls by less than that in 32 steps.
+    enough = near(300)
+    assert near(8) > near(32) > enough
+    ours = np.asarray(render(made, sky, rays=256))[20, 45:75, 0].mean()
+    assert ours == pytest.approx(0.5 + math.atan(0.5 / 60) / math.pi, abs=0.01)
 
 
 def test_defect_accumulation_forgets():
@@ -126,23 +131,19 @@ def test_the_noise_is_the_same_in_every_frame():
     )
 
 
-@pytest.mark.parametrize("shape", [(40, 40), (30, 50)])
-def test_published_march_is_right_but_for_noise(shape):
-    """Its angles are even, one by one: many rays find what the program finds."""
-    made = lamp(*shape, 15, 20, 3)
-    found = np.asarray(render(made, Sky.none(), rays=400, published=True, method="march"))
+def test_published_march_is_right_but_for_noise():
+    """Its angles are even: many rays find what the program finds."""
+    made = lamp(40, 40, 15, 20, 3)
+    march = jax.jit(lambda: render(made, Sky.none(), rays=400, published=True, method="march"))
     exact = np.asarray(render(made, Sky.none(), rays=400))
-    rms = np.sqrt(np.mean((found - exact) ** 2) / np.mean(exact**2))
-    if shape[0] == shape[1]:
-        assert rms < 0.03
-    else:
-        # Directions are in texture coordinates: the rays are not even on an oblong canvas.
-        assert rms > 0.03
+    assert np.sqrt(np.mean((np.asarray(march()) - exact) ** 2) / np.mean(exact**2)) < 0.05
 
 
 def test_published_distance_march_finds_a_lamp():
     made = lamp(64, 64, 30, 34, 4)
-    found = np.asarray(render(made, Sky.none(), rays=256, published=True, steps=200))
+    found = np.asarray(
+        jax.jit(lambda: render(made, Sky.none(), rays=256, published=True, steps=200))()
+    )
     exact = np.asarray(render(made, Sky.none(), rays=256))
     assert np.sqrt(np.mean((found - exact) ** 2) / np.mean(exact**2)) < 0.05
 

@@ -46,9 +46,10 @@ def _first(free, x, y, dx, dy, step, little):
             t += step
             used += np.int32(1)
         return t, used
-    right, below = real(dx >= 0), real(dy >= 0)
+    right, below = real(dx > -1e-9), real(dy > -1e-9)
     edge = min(
-        (real(column) + right - x) * _inverse(dx, real), (real(row) + below - y) * _inverse(dy, real)
+        (real(column) + right - x) * _inverse(dx, real),
+        (real(row) + below - y) * _inverse(dy, real),
     )
     return max(max(free[row, column], real(0)), edge + little), used
 
@@ -61,7 +62,7 @@ def _walk(free, cells, x, y, dx, dy, t, last, limit, step, little, steps, opaque
     width = free.shape[1]
     real = free.dtype.type
     across, down = _inverse(dx, real), _inverse(dy, real)
-    right, below = real(dx >= 0), real(dy >= 0)
+    right, below = real(dx > -1e-9), real(dy > -1e-9)
     high, wide = real(free.shape[0] - 1), real(width - 1)
     found, blocked = 0, 0
     for _ in range(steps):
@@ -84,9 +85,7 @@ def _walk(free, cells, x, y, dx, dy, t, last, limit, step, little, steps, opaque
         if step > 0:
             t += step
         else:
-            edge = (
-                min((real(column) + right - x) * across, (real(row) + below - y) * down) + little
-            )
+            edge = min((real(column) + right - x) * across, (real(row) + below - y) * down) + little
             t = max(t + max(value, real(0)), edge)
     return found, SPENT
 
@@ -142,7 +141,7 @@ def _picture(free, cells, directions, sky, turn, numbers, whole, out):
                     kind[p] = r * kinds + turn[begin + i, min(left + p, w - 1)]
                     dx[p], dy[p] = directions[kind[p], 0], directions[kind[p], 1]
                     across[p], down[p] = _inverse(dx[p], real), _inverse(dy[p], real)
-                    right[p], below[p] = real(dx[p] >= 0), real(dy[p] >= 0)
+                    right[p], below[p] = real(dx[p] > -1e-9), real(dy[p] > -1e-9)
                     t[p], used[p] = _first(free, x[p], y, dx[p], dy[p], step, little)
                 # In empty cells, side by side: no lane has a branch.
                 if step > 0:

@@ -46,9 +46,7 @@ class Shape(eqx.Module):
         self.numbers = {name: jnp.asarray(value, float) for name, value in numbers.items()}
         self.radiance, self.opacity = jnp.asarray(radiance, float), jnp.asarray(opacity, float)
 
-    def distance(
-        self, x: Float[Array, "h w"], y: Float[Array, "h w"]
-    ) -> Float[Array, "h w"]:
+    def distance(self, x: Float[Array, "h w"], y: Float[Array, "h w"]) -> Float[Array, "h w"]:
         """From (x, y) to the edge, negative inside."""
         n = self.numbers
         if self.kind == "disc":

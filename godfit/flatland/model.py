@@ -23,8 +23,12 @@ from godfit.parameters import Parameter
 
 PARAMETERS = (
     Parameter("exposure", "E", "1", 0.0, math.inf, "scale of the whole picture"),
-    Parameter("sun_angle", "phi", "degrees", -math.inf, math.inf, "counterclockwise from the right"),
-    Parameter("sun_width", "omega", "degrees", 0.1, 180.0, "how far to either side the sun reaches"),
+    Parameter(
+        "sun_angle", "phi", "degrees", -math.inf, math.inf, "counterclockwise from the right"
+    ),
+    Parameter(
+        "sun_width", "omega", "degrees", 0.1, 180.0, "how far to either side the sun reaches"
+    ),
     *(
         Parameter(f"{name}_{c}", "L", "1", 0.0, math.inf, f"radiance of the {name}, {colour}")
         for name in ("sun", "sky")

@@ -8,13 +8,13 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from godfit.errors import InputError
 from godfit.flatland import published as as_published
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.cascades import cascades
-from godfit.flatland.rays import gathered
+from godfit.flatland.rays import enough, gathered
 from godfit.flatland.sky import Sky
 
 METHODS = ("distance", "march", "cascades")
@@ -35,7 +35,7 @@ def render(
     steps: int | None = None,
     jitter: bool = False,
     grain: float = 0.0,
-    seed: int = 0,
+    seed: int | Int[Array, ""] = 0,
     exposure: float | Float[Array, ""] = 1.0,
     published: bool = False,
     plain: bool | None = None,
@@ -69,9 +69,7 @@ def render(
     sky = Sky.none() if sky is None else sky
     h, w = canvas.size
     if published:
-        make = functools.partial(
-            as_published.published, rays=rays, steps=steps, method=method
-        )
+        make = functools.partial(as_published.published, rays=rays, steps=steps, method=method)
         light = _without_derivative("published", make, canvas, sky)
         return exposure * light + _grain(light, grain, seed)
     if method == "cascades":
@@ -88,10 +86,21 @@ def render(
             many = steps or math.ceil(FINE * math.hypot(h, w))
             step = math.hypot(h, w) / many
         plain = jax.default_backend() != "cpu" if plain is None else plain
-        # A ray crosses fewer pixels than this; a march's last step may end a little short.
-        enough = h + w + 2 if step == 0 else math.ceil(math.hypot(h, w) / step) + 2
-        most = enough if steps is None or step > 0 else steps
-        reached = gathered(canvas, sky.over(rays * kinds), rays, most, step, turn, plain)
+        most = enough(h, w)
+        if method == "march":
+            # The last step may end a little short.
+            most = math.ceil(math.hypot(h, w) / step) + 2
+        elif steps is not None:
+            most = steps
+
+        def reach(canvas, sky):
+            return gathered(canvas, sky.over(rays * kinds), rays, most, step, turn, plain)
+
+        if method == "distance" and most < enough(h, w):
+            # Whether a ray gives up hangs on where everything is, and no derivative shows it.
+            reached = _without_derivative("distance with few steps", reach, canvas, sky)
+        else:
+            reached = reach(canvas, sky)
     light = canvas.radiance + (1 - canvas.opacity)[..., None] * reached
     return exposure * light + _grain(light, grain, seed)
 
@@ -115,7 +124,7 @@ def check(
         raise InputError("published: expected the method distance or march, got 'cascades'")
 
 
-def _grain(light, grain: float, seed: int):
+def _grain(light, grain: float, seed):
     if grain == 0:
         return jnp.zeros((), light.dtype)
     # Apart from the jitter of the same seed.
@@ -132,8 +141,8 @@ def _without_derivative(name: str, make: Any, canvas: Canvas, sky: Sky):
 
     def refuse(primals, tangents):
         raise ValueError(
-            f"flatland: '{name}' has no derivative; use method 'distance' or 'march' and not "
-            "published"
+            f"flatland: '{name}' has no derivative; use method 'distance' or 'march', without "
+            "published and, of the distance march, without steps"
         )
 
     made.defjvp(refuse)

@@ -9,9 +9,9 @@ through or the canvas ends and the sky is seen. A pixel counts once, its own doe
   jump-flood field, and near surfaces to the next pixel's border, so that nothing is leapt over: what
   is left of error is the number of rays, and pixels whose jump-flood distance is too long.
 
-Derivatives by radiance, opacity and sky are those of this sum, exact for the rays that there are.
-Where rays go does not depend on the canvas's values, and opacity enters as a product, so shapes
-whose edges are soft on the canvas have true derivatives by their position.
+Derivatives by radiance, opacity and sky are those of this sum, exact for the rays that there are, at
+empty pixels too. Where rays go does not depend on the canvas's values, and opacity enters as a
+product, so shapes whose edges are soft on the canvas have true derivatives by their position.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int32
+from jaxtyping import Array, Bool, Float, Int32
 
 from godfit.distance import jump_flood
 from godfit.flatland.canvas import Canvas
@@ -53,18 +53,25 @@ def angles(rays: int, kinds: int, dtype) -> Float[Array, "kinds"]:
     return (jnp.arange(count, dtype=dtype) + 0.5) * (2 * math.pi / count)
 
 
+def enough(h: int, w: int) -> int:
+    """More steps than a ray that goes from border to border can take."""
+    return h + w + 2
+
+
 def free_distance(canvas: Canvas, march: bool = False) -> Float[Array, "H W"]:
     """(h + 2, w + 2) how far there is nothing from anywhere in a pixel; FILLED where there is
     something and OUTSIDE around. For a march, 0 where there is nothing."""
-    h, w = canvas.size
-    filled = (canvas.opacity > 0) | (canvas.radiance > 0).any(-1)
+    return _free((canvas.opacity > 0) | (canvas.radiance > 0).any(-1), march, canvas.opacity.dtype)
+
+
+def _free(filled: Bool[Array, "h w"], march: bool, dtype) -> Float[Array, "H W"]:
+    h, w = filled.shape
     if march:
-        free = jnp.zeros((h, w), canvas.opacity.dtype)
+        free = jnp.zeros((h, w), dtype)
     else:
         # From middle to middle; both pixels have half a diagonal.
-        free = jnp.clip(jump_flood(filled).distance - math.sqrt(2), 0, 2.0 * (h + w))
-    free = jnp.where(filled, FILLED, free.astype(canvas.opacity.dtype))
-    return jnp.pad(free, 1, constant_values=OUTSIDE)
+        free = jnp.clip(jump_flood(filled).distance - math.sqrt(2), 0, 2.0 * (h + w)).astype(dtype)
+    return jnp.pad(jnp.where(filled, FILLED, free), 1, constant_values=OUTSIDE)
 
 
 def cells_of(canvas: Canvas) -> Float[Array, "cells 4"]:
@@ -92,7 +99,10 @@ def gathered(
     if plain:
         from godfit.flatland.reference import walk
 
-        return walk(prepared, rays, steps, step)
+        h, w = canvas.size
+        # Leaps only where they are counted: in XLA's loops, of a fixed length, they gain nothing, and
+        # what is leapt over would have no derivative.
+        return walk(prepared, rays, steps, step, leap=steps < enough(h, w))
     return _seen(prepared.cells, prepared.sky, prepared, (rays, steps, step))
 
 
@@ -144,7 +154,9 @@ def call(kind: str, shape: tuple[int, ...], dtype, *arguments):
     return made(*arguments)
 
 
-def look(given: Prepared, how: tuple[int, int, float], channels: int) -> Float[Array, "h w channels"]:
+def look(
+    given: Prepared, how: tuple[int, int, float], channels: int
+) -> Float[Array, "h w channels"]:
     """What the rays of every pixel see, compiled: 3 channels, or those of ``passing``. ``how`` is
     rays, steps and the length of a step."""
     (h, w), dtype = given.turn.shape, given.free.dtype
@@ -164,20 +176,30 @@ def _seen(cells, sky, given: Prepared, how):
     return look(given._replace(cells=cells, sky=sky), how, 3)
 
 
-@_seen.defjvp
+@functools.partial(_seen.defjvp, symbolic_zeros=True)
 def _seen_jvp(how, primals, tangents):
     cells, sky, given = primals
     given = given._replace(cells=cells, sky=sky)
     out = _seen(cells, sky, given, how)
-    forward = functools.partial(_forward, how)
-    backward = functools.partial(_backward, how)
-    moved = jax.custom_derivatives.linear_call(forward, backward, given, tangents[:2])
+    moved = jnp.zeros_like(out)
+    # One by one: what is transposed must be linear in all that it is given.
+    for which, tangent in enumerate(tangents[:2]):
+        if not isinstance(tangent, jax.custom_derivatives.SymbolicZero):
+            forward = functools.partial(_forward, how, which)
+            backward = functools.partial(_backward, how, which)
+            moved += jax.custom_derivatives.linear_call(forward, backward, given, tangent)
     return out, moved
 
 
-def _forward(how, given: Prepared, moves):
+def _forward(how, which, given: Prepared, move):
+    """The derivative along a move of the cells (0) or of the sky (1)."""
     (h, w), dtype = given.turn.shape, given.free.dtype
+    if which == 0:
+        # Empty pixels that move count as well, though no ray stops at them yet.
+        there = ((given.cells != 0) | (move != 0)).any(-1).reshape(h + 2, w + 2)[1:-1, 1:-1]
+        given = given._replace(free=_free(there, how[2] > 0, dtype))
     arguments, whole = _numbers(given, how)
+    moves = (move, jnp.zeros_like(given.sky)) if which == 0 else (jnp.zeros_like(given.cells), move)
     parts = [
         call(
             "tangent", (size, w, 3), dtype, *arguments,
@@ -188,8 +210,12 @@ def _forward(how, given: Prepared, moves):
     return jnp.concatenate(parts, 0)
 
 
-def _backward(how, given: Prepared, pull):
+def _backward(how, which, given: Prepared, pull):
+    """The transpose. By the cells it is as slow as a march: which of the empty ones anyone asks for
+    is not known, and every one has a derivative."""
     (h, w), dtype = given.turn.shape, given.free.dtype
+    if which == 0:
+        given = given._replace(free=_free(jnp.ones((h, w), bool), True, dtype))
     arguments, whole = _numbers(given, how)
     cells, kinds = given.cells.shape[0], given.sky.shape[0]
     pull = pull.reshape(h, 3 * w)
@@ -200,4 +226,4 @@ def _backward(how, given: Prepared, pull):
         )
         for begin, size in shares(h, TRANSPOSED_CALLS)
     )[0]  # fmt: skip
-    return both[:cells], both[cells:, :3]
+    return both[:cells] if which == 0 else both[cells:, :3]

@@ -9,12 +9,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from godfit.flatland.compiled import FILLED, OUTSIDE
+from godfit.flatland.compiled import OUTSIDE
 from godfit.flatland.rays import LITTLE, Prepared
 
 
-def walk(given: Prepared, rays: int, steps: int, step: float) -> Float[Array, "h w 3"]:
-    """See ``godfit.flatland.rays.gathered``."""
+def walk(given: Prepared, rays: int, steps: int, step: float, leap: bool) -> Float[Array, "h w 3"]:
+    """See ``godfit.flatland.rays.gathered``; ``leap`` over what is free or go pixel by pixel."""
     free, cells = given.free, given.cells
     (h, w), kinds = given.turn.shape, given.sky.shape[0] // rays
     dtype, width = free.dtype, free.shape[1]
@@ -35,17 +35,17 @@ def walk(given: Prepared, rays: int, steps: int, step: float) -> Float[Array, "h
         def onwards(t, row, column):
             if step > 0:
                 return t + step
-            a = (column + (dx >= 0) - x) / jnp.where(jnp.abs(dx) > 1e-9, dx, 1e-9)
-            b = (row + (dy >= 0) - y) / jnp.where(jnp.abs(dy) > 1e-9, dy, 1e-9)
+            a = (column + (dx > -1e-9) - x) / jnp.where(jnp.abs(dx) > 1e-9, dx, 1e-9)
+            b = (row + (dy > -1e-9) - y) / jnp.where(jnp.abs(dy) > 1e-9, dy, 1e-9)
             edge = jnp.minimum(a, b) + little
-            return jnp.maximum(t + jnp.maximum(free[row, column], 0), edge)
+            return jnp.maximum(t + jnp.maximum(free[row, column], 0), edge) if leap else edge
 
         def advance(state, _):
             t, last, left, light, passing = state
             row, column = place(t)
             value, cell = free[row, column], row * width + column
             left = left | (value == OUTSIDE)
-            met = (value == FILLED) & (cell != last) & ~left
+            met = (cell != last) & ~left
             held = jnp.where(met[..., None], cells[cell], 0)
             light = light + passing[..., None] * held[..., :3]
             passing = passing * (1 - held[..., 3])
@@ -53,7 +53,13 @@ def walk(given: Prepared, rays: int, steps: int, step: float) -> Float[Array, "h
 
         start = jnp.zeros((h, w), dtype)
         t = onwards(start, *place(start))
-        state = t, own, jnp.zeros((h, w), bool), jnp.zeros((h, w, 3), dtype), jnp.ones((h, w), dtype)
+        state = (
+            t,
+            own,
+            jnp.zeros((h, w), bool),
+            jnp.zeros((h, w, 3), dtype),
+            jnp.ones((h, w), dtype),
+        )
         (_, _, left, light, passing), _ = jax.lax.scan(advance, state, None, steps)
         seen = light + jnp.where(left, passing, 0)[..., None] * beyond
         return total + seen, None
