@@ -1,4 +1,4 @@
-"""Canvases for the light in the plane: what is drawn, and the sky that it stands in.
+"""What is drawn for the light in the plane, and the sky that it stands in.
 
 A canvas is an RGBA picture: colour is emission, alpha opacity, black and opaque hides. Every one but
 the sand's is drawn larger by formula and averaged; all are rounded to bytes before anything is
@@ -7,6 +7,7 @@ rendered from them.
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -45,7 +46,7 @@ class Sheet:
     def near(self, points: np.ndarray, thickness: float) -> np.ndarray:
         """Within half a thickness of the line through ``points``."""
         found = np.zeros(self.x.shape, bool)
-        for (ax, ay), (bx, by) in zip(points[:-1], points[1:], strict=True):
+        for (ax, ay), (bx, by) in itertools.pairwise(points):
             dx, dy = bx - ax, by - ay
             along = ((self.x - ax) * dx + (self.y - ay) * dy) / (dx * dx + dy * dy)
             along = along.clip(0, 1)
@@ -133,11 +134,11 @@ def sand_frames(count: int = FRAMES, every: int = EVERY, size: int = 96) -> list
 CANVASES = {
     "plane_stroke": (stroke, Truth(140.0, 40.0, SUN, SKY, 0.9), "the source's demonstration"),
     "plane_window": (
-        window, Truth(155.0, 25.0, (2.4, 2.2, 1.8), (0.1, 0.16, 0.25), 1.0),
+        window, Truth(155.0, 25.0, (9.0, 8.4, 7.2), (0.25, 0.4, 0.62), 0.8),
         "a shaft of light through a window, wider than high",
     ),
     "plane_maze": (
-        maze, Truth(60.0, 70.0, (1.2, 1.1, 1.0), (0.1, 0.12, 0.2), 0.8),
+        maze, Truth(60.0, 70.0, (4.0, 3.7, 3.2), (0.35, 0.42, 0.7), 0.9),
         "far from the sky; most rays are short",
     ),
 }  # fmt: skip

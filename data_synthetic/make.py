@@ -3,7 +3,8 @@
     python data_synthetic/make.py [FOLDER]
     python data_synthetic/make.py --gif FILE flight
 
-Masks of scenes (stages.py) are the rasteriser's; with --gif a moving scene becomes an animation.
+Masks of scenes (stages.py) are the rasteriser's; canvases of the light in the plane (canvases.py) are
+drawn by formula or by falling sand (sand.py). With --gif what moves becomes an animation.
 
 A mask is rounded to bytes before anything is rendered from it, so that the parameters in the table
 below are exactly the picture's. Pictures are rendered by the reference sum in float64 and rounded
@@ -18,13 +19,17 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import canvases
 import equinox as eqx
+import imagecodecs
 import imageio.v3
 import jax
 import jax.numpy as jnp
 import numpy as np
+import sand
 from stages import FRAMES, SEQUENCES, STAGES, Stage
 
+from godfit.flatland import Sky, canvas, render
 from godfit.image import atomic_write, write_image
 from godfit.inputs import drawn, place_of
 from godfit.models import Mitchell
@@ -32,6 +37,8 @@ from godfit.parameters import light_parameters
 from godfit.radial.reference import bilinear
 from godfit.scene import Scene, read_scene
 
+MOVING = (*SEQUENCES, "sand")
+PLANE_RAYS = 128
 GOLDEN = (5**0.5 - 1) / 2  # its multiples, modulo 1, look scattered without being random
 
 
@@ -378,6 +385,55 @@ def make_gif(file: Path, name: str, frames: int = 48) -> None:
     atomic_write(file, data)
 
 
+def plane(drawn: np.ndarray, truth: canvases.Truth, rays: int) -> np.ndarray:
+    """(h, w, 3) the light of a canvas (h, w, 4) of bytes."""
+    values = drawn / 255
+    made = canvas(values[..., :3] * values[..., 3:], values[..., 3])
+    sky = Sky(truth.sun_angle, truth.sun_width, truth.sun, truth.sky)
+    return np.asarray(render(made, sky, rays=rays, exposure=truth.exposure))
+
+
+def planes() -> Iterator[tuple[str, np.ndarray, canvases.Truth, dict]]:
+    """All canvases kept: a name, the bytes, the sky, and what else is to be said."""
+    for name, (draw, truth, note) in canvases.CANVASES.items():
+        yield name, draw(), truth, {"note": note}
+    states = canvases.sand_frames()
+    for i, cells in enumerate(states):
+        truth = canvases.sand_truth(i, len(states))
+        more = {"seed": canvases.SEED, "step": i * canvases.EVERY, "grains": sand.grains(cells)}
+        yield f"plane_sand_{i}", canvases.of_sand(cells, 2), truth, more
+
+
+def make_plane(folder: Path, name: str, drawn: np.ndarray, truth: canvases.Truth) -> dict:
+    """Write the canvas ``name``, its target and side file; its truth."""
+    files = {"target": f"{name}.png", "canvas": f"{name}_canvas.png"}
+    atomic_write(folder / files["canvas"], bytes(imagecodecs.png_encode(drawn)))
+    write_image(folder / files["target"], plane(drawn, truth, PLANE_RAYS))
+    beside = f'canvas = "{files["canvas"]}"\n\n[scattering]\nmodel = "flatland"\n'
+    atomic_write(folder / f"{name}.toml", f"{beside}rays = {PLANE_RAYS}\n".encode())
+    params = {
+        "exposure": truth.exposure,
+        "sun_angle": truth.sun_angle,
+        "sun_width": truth.sun_width,
+    }
+    for key in ("sun", "sky"):
+        params |= {f"{key}_{c}": v for c, v in zip("rgb", getattr(truth, key), strict=True)}
+    return files | {"rays": PLANE_RAYS, "params": params}
+
+
+def make_sand_gif(file: Path, frames: int = 60) -> None:
+    """Write the falling sand and its light as an animation, twice its size; needs x64."""
+    pictures = []
+    for i, cells in enumerate(canvases.sand_frames(frames, every=10)):
+        image = plane(canvases.of_sand(cells, 2), canvases.sand_truth(i, frames), PLANE_RAYS)
+        larger = to_bytes(image).repeat(2, 0).repeat(2, 1)
+        pictures.append(np.rint(larger * 255).astype(np.uint8))
+    data = imageio.v3.imwrite("<bytes>", np.stack(pictures), extension=".gif", plugin="pillow",
+                              is_batch=True, duration=80, loop=0)  # fmt: skip
+    assert data is not None
+    atomic_write(file, data)
+
+
 def make(folder: Path) -> None:
     """Write every target, its mask, its side file and the manifest to ``folder``; needs x64."""
     truths = {}
@@ -408,7 +464,9 @@ def make(folder: Path) -> None:
         truth = {"shader": shader, "samples": samples, "params": params, "note": note}
         truths[name] = files | truth
     scenes = {name: make_stage(folder, name, stage) | at for name, stage, at in stages()}
-    text = json.dumps({"schema": 1, "targets": truths, "scenes": scenes}, indent=1) + "\n"
+    drawn = {name: make_plane(folder, name, *rest) | more for name, *rest, more in planes()}
+    manifest = {"schema": 1, "targets": truths, "scenes": scenes, "canvases": drawn}
+    text = json.dumps(manifest, indent=1) + "\n"
     atomic_write(folder / "manifest.json", text.encode())
 
 
@@ -416,16 +474,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Draw the synthetic targets.")
     parser.add_argument("folder", nargs="?", type=Path, default=Path(__file__).parent)
     parser.add_argument("--gif", nargs=2, metavar=("FILE", "NAME"),
-                        help=f"write one of {', '.join(SEQUENCES)} as an animation")  # fmt: skip
+                        help=f"write one of {', '.join(MOVING)} as an animation")  # fmt: skip
     given = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     if given.gif is None:
         make(given.folder)
         return
     file, name = given.gif
-    if name not in SEQUENCES:
-        parser.error(f"--gif: expected one of {', '.join(SEQUENCES)}, got '{name}'")
-    make_gif(Path(file), name)
+    if name not in MOVING:
+        parser.error(f"--gif: expected one of {', '.join(MOVING)}, got '{name}'")
+    if name == "sand":
+        make_sand_gif(Path(file))
+    else:
+        make_gif(Path(file), name)
 
 
 if __name__ == "__main__":
