@@ -132,13 +132,13 @@ def sand_frames(count: int = FRAMES, every: int = EVERY, size: int = 96) -> list
 
 # The canvas, its sky and what it is for.
 CANVASES = {
-    "plane_stroke": (stroke, Truth(140.0, 40.0, SUN, SKY, 0.9), "the source's demonstration"),
+    "plane_stroke": (stroke, Truth(140.0, 40.0, SUN, SKY, 0.87), "the source's demonstration"),
     "plane_window": (
         window, Truth(155.0, 25.0, (9.0, 8.4, 7.2), (0.25, 0.4, 0.62), 0.8),
         "a shaft of light through a window, wider than high",
     ),
     "plane_maze": (
-        maze, Truth(60.0, 70.0, (4.0, 3.7, 3.2), (0.35, 0.42, 0.7), 0.9),
+        maze, Truth(60.0, 70.0, (4.0, 3.7, 3.2), (0.35, 0.42, 0.7), 0.87),
         "far from the sky; most rays are short",
     ),
 }  # fmt: skip

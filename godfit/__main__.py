@@ -142,10 +142,10 @@ def folder_for(target: str, output: str | None) -> Path:
 
 
 def opened(
-    target: str, given: Mapping[str, Any], output: str | None
+    target: str, given: Mapping[str, Any], output: str | None, *, plane: bool = False
 ) -> tuple[Image, dict[str, Any], Path]:
     """The target, its options (those of the file beside it, and ``given`` ones in their place), and
-    the folder for the result."""
+    the folder for the result. In the ``plane`` a canvas will do for a mask."""
     from godfit.image import read_image
     from godfit.sidecar import read_sidecar
 
@@ -159,12 +159,31 @@ def opened(
             options.pop(other, None)
     if "mask" in options and "scene" in options:
         raise click.UsageError("expected --mask or --scene, got both; a scene draws its own mask")
-    if "mask" not in options and "scene" not in options:
+    if "mask" not in options and "scene" not in options and not (plane and "canvas" in options):
         raise click.UsageError(
             "expected --mask IMAGE or --scene SCENE.toml, or "
             f"{Path(target).with_suffix('.toml').name} beside the target naming one; got neither"
         )
     return image, options, folder
+
+
+def only_one(options: dict[str, Any], given: Mapping[str, Any]) -> None:
+    """Of a canvas and a mask or scene, keep what was given here, or what the model asks for."""
+    if "canvas" not in options:
+        return
+    if given["canvas"] is not None and (given["mask"] or given["scene"]):
+        raise click.UsageError("expected --mask, --scene or --canvas, got two; give one")
+    plane = given["canvas"] is not None or options.get("model") == "flatland"
+    away = ("mask", "scene", "samples", "shader", "lights") if plane else ("canvas", "rays")
+    if given["mask"] or given["scene"]:
+        away = ("canvas", "rays")
+        if given["model"] is None:
+            options.pop("model", None)
+    for name in away:
+        if given.get(name) is None:
+            options.pop(name, None)
+    if given["canvas"] is not None and given["model"] is None:
+        options["model"] = "flatland"
 
 
 def load_scene(options: dict[str, Any], progress: Progress) -> None:
@@ -200,11 +219,13 @@ def load_drawing() -> None:
 @click.argument("target")
 @click.option("--mask", help="Occlusion mask that the scattering pass reads.")
 @click.option("--scene", help="Scene file to draw the mask from.")
-@click.option("--model", help="mitchell or hoffman-preetham. [default: mitchell]")
+@click.option("--canvas", help="What is drawn in the plane: RGBA, or a .toml of shapes.")
+@click.option("--model", help="mitchell, hoffman-preetham or flatland. [default: mitchell]")
 @click.option("--free", multiple=True, metavar="NAME", help="Fit this of the scene as well.")
 @click.option("--background", help="Ordinary pass that the light was laid on.")
 @click.option("--shader", help=SHADER_HELP)
 @click.option("--samples", type=int, help="Samples a ray. [default: the shader's own]")
+@click.option("--rays", type=int, help="Of the light in the plane, a pixel. [default: 64]")
 @click.option("--lights", type=int, help="Number of lights. [default: 1]")
 @click.option("--pass-scale", type=float, help="Size of the light pass against the mask's.")
 @click.option("--transfer", type=click.Choice(["none", "srgb"]), help="How the target was encoded.")
@@ -239,11 +260,13 @@ def fit(
     options override it. The result goes to x.godfit/: fit.json, fit.png, render.png.
 
     With --scene the mask is drawn from meshes. --free light.position (or light.radius,
-    camera.position, object[0].position, object[0].rotation, ...) fits that as well.
+    camera.position, object[0].position, object[0].rotation, ...) fits that as well. With --canvas
+    the sun, the sky and the exposure of light in the plane are fitted.
     """
     fixed = assignments(fix, "--fix", optional=True)
     started = assignments(start, "--start", optional=False)
-    image, options, folder = opened(target, given, output)
+    image, options, folder = opened(target, given, output, plane=True)
+    only_one(options, given)
     if free and "scene" not in options:
         raise click.UsageError(f"--free {free[0]}: expected --scene SCENE.toml with it, got a mask")
     valid = look_away(ignore, image.values.shape[:2])
@@ -286,6 +309,8 @@ def fit(
 @click.argument("target")
 @click.option("--mask", help="Occlusion mask, as for fit.")
 @click.option("--scene", help="Scene file: mask, camera, distances and light.")
+@click.option("--canvas", help="What is drawn in the plane: its light is compared as well.")
+@click.option("--rays", type=int, help="Of the light in the plane, a pixel. [default: 64]")
 @click.option("--background", help="Ordinary pass that the light was laid on.")
 @click.option("--shader", help=SHADER_HELP)
 @click.option("--samples", type=int, help="Samples a ray. [default: the shader's own]")
@@ -313,11 +338,13 @@ def compare(
 ) -> int:
     """Fit Mitchell's sum and Hoffman and Preetham's daylight to TARGET and say which it deserves.
 
-    Each is fitted with the light where it is given, if it is, and with the light free. The table
-    goes to stdout, compare.json and compare.png to x.godfit/. Exit status 3 if none converged.
+    Each is fitted with the light where it is given, if it is, and with the light free; with --canvas
+    the light in the plane as well. The table goes to stdout, compare.json and compare.png to
+    x.godfit/. Exit status 3 if none converged.
     """
     place = None if light is None else pair(light)
     image, options, folder = opened(target, given, output)
+    options.pop("model", None)
     valid = look_away(ignore, image.values.shape[:2])
     with Progress(quiet, verbose) as progress:
         progress("loading JAX")
@@ -376,7 +403,7 @@ def mask(scene: str, output: str, hard: bool, quiet: bool) -> int:
 @cli.command()
 @click.argument("mask", metavar="MASK|SCENE.toml")
 @click.option("-o", "--output", required=True, help="Image to write: .png or .npy (linear floats).")
-@click.option("--model", help="mitchell, hoffman-preetham or volume. [default: mitchell]")
+@click.option("--model", help="mitchell, hoffman-preetham, volume or flatland. [default: mitchell]")
 @click.option("--params", metavar="FIT.JSON", help="Take shader and parameters from a fit.")
 @click.option("--shader", help=SHADER_HELP)
 @click.option("--samples", type=int, help="Samples a ray. [default: the shader's own]")
@@ -392,7 +419,17 @@ def mask(scene: str, output: str, hard: bool, quiet: bool) -> int:
 @click.option("--fov", type=float, help="Vertical field of view in degrees, without a scene.")
 @click.option("--distance", type=float, help="How far what is seen lies; with a scene, the sky.")
 @click.option("--source", default="sun", help="Of a volume: sun or lamp. [default: sun]")
-@click.option("--steps", type=int, default=128, help="Of a volume's rays. [default: 128]")
+@click.option("--steps", type=int, help="Of a volume's rays, or of a march. [default: 128]")
+@click.option("--rays", type=int, help="Flatland: rays of a pixel. [default: 64]")
+@click.option("--method", help="Flatland: distance, march or cascades. [default: distance]")
+@click.option("--sun-angle", type=float, help="Flatland: degrees from the right. [default: 120]")
+@click.option("--sun-width", type=float, help="Flatland: degrees to either side. [default: 60]")
+@click.option("--sun", metavar="R,G,B", help="Flatland: the sun's radiance. [default: .95,.95,.9]")
+@click.option("--sky", metavar="R,G,B", help="Flatland: the sky's radiance. [default: .02,.08,.2]")
+@click.option("--jitter", is_flag=True, help="Flatland: every pixel turns its rays; see --seed.")
+@click.option("--grain", type=float, help="Flatland: standard deviation of noise laid on.")
+@click.option("--seed", type=int, help="Flatland: of jitter and grain. [default: 0]")
+@click.option("--published", is_flag=True, help="Flatland: as the article's shaders have it.")
 @click.option("--light", multiple=True, metavar="U,V", help="Light; repeat for several.")
 @click.option("--background", help="Ordinary pass to lay the light on.")
 @click.option("--size", metavar="WxH", help="Size of the image. [default: the mask's]")
@@ -418,7 +455,15 @@ def render(
     fov: float | None,
     distance: float | None,
     source: str,
-    steps: int,
+    steps: int | None,
+    rays: int | None,
+    method: str | None,
+    sun: str | None,
+    sky: str | None,
+    jitter: bool,
+    grain: float | None,
+    seed: int | None,
+    published: bool,
     light: tuple[str, ...],
     background: str | None,
     size: str | None,
@@ -432,7 +477,8 @@ def render(
     shader's defaults.
 
     --model hoffman-preetham takes a mask that is 1 where the sky is seen; --model volume marches
-    through the air of a SCENE.toml. Both need --e-sun and --scale.
+    through the air of a SCENE.toml. Both need --e-sun and --scale. --model flatland takes a canvas:
+    RGBA (colour emits, alpha hides, black and opaque throws shadows) or a .toml of shapes.
     """
     from godfit.image import read_image, write_image
     from godfit.inputs import check_model, drawn, model_from, place_of, shrink_mask
@@ -443,6 +489,23 @@ def render(
         )
     lights = [pair(text) for text in light]
     settings: dict[str, Any] = {}
+    in_plane = {
+        "rays": rays, "method": method, "jitter": jitter or None, "grain": grain, "seed": seed,
+        "published": published or None, "sun": three(sun, "--sun"), "sky": three(sky, "--sky"),
+        "sun_angle": values.pop("sun_angle"), "sun_width": values.pop("sun_width"),
+    }  # fmt: skip
+    before = read_params(params) if params else {}
+    if (model or before.get("model")) == "flatland":
+        from godfit.flatland.inputs import rendered
+
+        in_plane |= {"steps": steps, "exposure": values["exposure"]}
+        image = rendered(mask, before | {k: v for k, v in in_plane.items() if v is not None})
+        write_image(output, image, transfer=transfer, bits=int(bits))
+        return 0
+    for name, value in in_plane.items():
+        if value is not None:
+            option = name.replace("_", "-")
+            raise click.UsageError(f"--{option}: expected --model flatland with it")
     stage = None
     if mask.endswith(".toml"):
         from godfit.scene import read_scene
@@ -451,7 +514,7 @@ def render(
         settings = {**stage.settings, **place_of(stage)}
         pass_scale = settings.pop("pass_scale", 1.0) if pass_scale == 1 else pass_scale
         transfer = settings.pop("transfer", "none") if transfer == "none" else transfer
-    settings |= read_params(params) if params else {}
+    settings |= before
     kind = model or settings.get("model", "mitchell")
     if kind != "volume":
         check_model(
@@ -466,8 +529,9 @@ def render(
         geometry = {"fov": fov, "distance": distance, "phase": phase}
         settings |= {k: v for k, v in geometry.items() if v is not None}
         image = daylight_image(
-            mask, stage, settings, known, lights, kind, back_of(background, transfer), source, steps
-        )
+            mask, stage, settings, known, lights, kind, back_of(background, transfer), source,
+            steps or 128,
+        )  # fmt: skip
         write_image(output, image, transfer=transfer, bits=int(bits))
         return 0
     shape = whole(size) if size else None
@@ -569,6 +633,17 @@ def pair(text: str) -> tuple[float, float]:
     return u, v
 
 
+def three(text: str | None, option: str) -> tuple[float, ...] | None:
+    """``R,G,B`` -> three numbers."""
+    if text is None:
+        return None
+    try:
+        r, g, b = (float(n) for n in text.split(","))
+    except ValueError:
+        raise click.BadParameter(f"expected R,G,B, got '{text}'", param_hint=option) from None
+    return r, g, b
+
+
 def whole(text: str) -> tuple[int, int]:
     """``WxH`` -> (h, w)."""
     parts = text.lower().split("x")
@@ -581,7 +656,7 @@ def read_params(path: str) -> dict[str, Any]:
     """Shader, samples and parameters of a fit.json."""
     try:
         record = json.loads(Path(path).read_text(encoding="utf-8"))
-        given = ("model", "shader", "samples", "phase", "fov", "distance")
+        given = ("model", "shader", "samples", "rays", "phase", "fov", "distance")
         return {
             **{key: record[key] for key in given if key in record},
             **{name: entry["value"] for name, entry in record["params"].items()},

@@ -1,6 +1,7 @@
-"""Which model a picture deserves: Mitchell's sum or Hoffman and Preetham's daylight.
+"""Which model a picture deserves: Mitchell's sum, Hoffman and Preetham's daylight or, where there is
+a canvas, the light in the plane.
 
-Both are fitted to the same values with the same likelihood, with the light where the scene has it
+All are fitted to the same values with the same likelihood, with the light where the scene has it
 and with the light free, and judged by Akaike's and Schwarz's criteria (Burnham & Anderson, Model
 Selection and Multimodel Inference, 2002, ch. 2): twice the negative log-likelihood, plus 2 or
 ln(values) for every parameter that the picture determines, the noise among them.
@@ -23,6 +24,8 @@ import numpy as np
 
 from godfit import inputs
 from godfit.fitting import fit
+from godfit.flatland import inputs as plane
+from godfit.flatland.model import Flatland
 from godfit.hoffman_preetham import HoffmanPreetham
 from godfit.image import atomic_write, encode
 from godfit.inputs import Source
@@ -104,6 +107,8 @@ def compare(
     *,
     mask: Source | None = None,
     scene: Scene | str | os.PathLike[str] | None = None,
+    canvas: plane.Source | None = None,
+    rays: int | None = None,
     light: tuple[float, float] | None = None,
     fov: float | None = None,
     distance: float | np.ndarray | None = None,
@@ -112,8 +117,9 @@ def compare(
     progress: Callable[[str], None] | None = None,
     **options: Any,
 ) -> Comparison:
-    """Fit both models; arguments are those of `godfit.fit`. ``light`` (u, v), or the scene's, is
-    where the fits with a given light hold it; without either there are none of these."""
+    """Fit both models, and with a ``canvas`` that of the plane; arguments are those of `godfit.fit`.
+    ``light`` (u, v), or the scene's, is where the fits with a given light hold it; without either
+    there are none of these."""
     say = progress or (lambda text: None)
     picture = inputs.image(target, options.get("transfer", "none"))
     place: dict[str, float] = {}
@@ -134,6 +140,13 @@ def compare(
             title = name + ("" if fix else ", light free")
             say(title)
             rows.append(_row(title, picture, mask, scene, name, fix, extra | options, say))
+    if canvas is not None:
+        # Neither a shader's settings nor the pass it lays its light on mean anything there.
+        away = ("samples", "pass_scale", "background")
+        extra = {"canvas": canvas, "rays": rays}
+        extra |= {k: v for k, v in options.items() if k not in away}
+        say(Flatland.name)
+        rows.append(_row(Flatland.name, picture, None, None, Flatland.name, {}, extra, say))
     rows.sort(key=lambda row: row.bic)
     return Comparison(tuple(rows), picture.values)
 

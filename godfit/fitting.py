@@ -15,6 +15,9 @@ import numpy as np
 from godfit import dips, inputs, screen, screen_air, search
 from godfit.contested import agreed
 from godfit.errors import InputError
+from godfit.flatland import inputs as plane
+from godfit.flatland.model import Flatland
+from godfit.flatland.starts import starts as starts_in_plane
 from godfit.hoffman_preetham import HoffmanPreetham
 from godfit.inference import evidence, undetermined
 from godfit.inputs import Source
@@ -37,11 +40,13 @@ def fit(
     *,
     mask: Source | None = None,
     scene: Scene | str | os.PathLike[str] | None = None,
-    model: str = "mitchell",
+    canvas: plane.Source | None = None,
+    model: str | None = None,
     free: Sequence[str] = (),
     background: Source | None = None,
     shader: str | None = None,
     samples: int | None = None,
+    rays: int | None = None,
     lights: int = 1,
     pass_scale: float | None = None,
     fov: float | None = None,
@@ -64,14 +69,18 @@ def fit(
       a light pass at lower resolution.
     - `scene`: in place of a mask, the scene (or its file) that the mask is drawn from. Its light is
       where the search starts; shader, samples and the like may stand in it.
-    - `model`: `"mitchell"`, the screen-space sum, or `"hoffman-preetham"`, daylight behind
-      occluders: the mask is then 1 where the sky is seen and 0 where something hides it.
+    - `canvas`: in place of a mask, what is drawn in the plane: a `godfit.flatland.Canvas`, an image
+      with alpha, or a scene of shapes.
+    - `model`: `"mitchell"`, the screen-space sum; `"hoffman-preetham"`, daylight behind occluders:
+      the mask is then 1 where the sky is seen and 0 where something hides it; `"flatland"`, light in
+      the plane of a canvas. By default the last where there is a canvas, and else the first.
     - `free`: what of the scene is fitted beside the scattering, as in `"light.position"`,
       `"object[0].rotation"`; the light on the screen is then the scene's. Without, the mask is
       drawn once, with or without anti-aliasing, whichever the picture agrees with.
     - `background`: the ordinary pass that the light is laid on, as large as the target.
     - `shader`, `samples`: a name in `godfit.taps.CONVENTIONS`, by default the scene's or
       `"mitchell"`; its own default number of samples.
+    - `rays`: of the light in the plane, for each pixel, by default 64.
     - `lights`: how many lights are summed.
     - `pass_scale`: the size of the light pass against the mask's, at most 1.
     - `fov`, `distance`: of Hoffman-Preetham without a scene: the vertical field of view in degrees
@@ -89,10 +98,15 @@ def fit(
     **Returns:** a `FitResult`. Raises `InputError`, a ValueError of one line, for input that cannot
     be fitted.
     """
-    if (mask is None) == (scene is None):
+    model = model or (Mitchell.name if canvas is None else Flatland.name)
+    inputs.check_model(model, free, shader, lights, fov, distance)
+    if model == Flatland.name:
+        _check_plane(canvas, mask, scene, background, samples, pass_scale)
+    elif (mask is None) == (scene is None):
         got = "neither" if mask is None else "both"
         raise InputError(f"fit: expected a mask or a scene, got {got}")
-    inputs.check_model(model, free, shader, lights, fov, distance)
+    elif canvas is not None or rays is not None:
+        raise InputError(f"canvas, rays: expected --model {Flatland.name} with them, got {model}")
     given = {"shader": shader, "samples": samples, "pass_scale": pass_scale}
     with jax.enable_x64(False):
         # The program is one of float32, whatever the caller has set.
@@ -102,12 +116,27 @@ def fit(
         settings |= {k: v for k, v in given.items() if v is not None}
         try:
             return _fit(
-                target, mask, background, scene, model, tuple(free), settings, lights,
-                (fov, distance), fix or {}, start or {}, valid, transfer, channels, seed,
+                target, mask, background, scene, (canvas, rays), model, tuple(free), settings,
+                lights, (fov, distance), fix or {}, start or {}, valid, transfer, channels, seed,
                 progress or (lambda text: None),
             )  # fmt: skip
         except jax.errors.JaxRuntimeError as error:
             raise InputError.within(error) or error from error
+
+
+def _check_plane(canvas, mask, scene, background, samples, pass_scale) -> None:
+    """Raise InputError for what does not go with the light in the plane."""
+    if canvas is None:
+        raise InputError(f"canvas: expected one with the model {Flatland.name}, got none; give one")
+    others = {
+        "mask": mask, "scene": scene, "background": background, "samples": samples,
+        "pass_scale": pass_scale,
+    }  # fmt: skip
+    for name, value in others.items():
+        if value is not None:
+            raise InputError(
+                f"{name}: expected none with the model {Flatland.name}, got one; leave it out"
+            )
 
 
 def _fit(
@@ -115,6 +144,7 @@ def _fit(
     mask: Source | None,
     background: Source | None,
     scene: Scene | None,
+    drawn: tuple[plane.Source | None, int | None],
     kind: str,
     staged: tuple[str, ...],
     settings: Mapping[str, Any],
@@ -137,7 +167,12 @@ def _fit(
         notes, pass_scale = tuple(f"scene: {note}" for note in scene.notes), 1.0
         start = inputs.place_of(scene) | dict(start)
     model: AbstractModel
-    if daylight:
+    picture = None
+    if kind == Flatland.name:
+        assert drawn[0] is not None
+        say("rays")
+        model, picture, images["canvas"] = plane.prepared(images["target"], *drawn, valid)
+    elif daylight:
         model, assumed = inputs.daylight(scene, *geometry, settings.get("samples"))
         notes += assumed
     else:
@@ -150,15 +185,16 @@ def _fit(
             assert isinstance(model, Mitchell)
             model = inputs.staged(model, scene, staged)
             start = {name: value for name, value in start.items() if name in model.parameters}
-    else:
+    elif picture is None:
         assert mask is not None
         images["mask"] = inputs.image(mask, "none")
     if background is not None:
         images["background"] = inputs.image(background, transfer)
-    picture = inputs.picture(
-        images["target"], images["mask"], images.get("background"), valid, pass_scale,
-        channels or model.channels,
-    )  # fmt: skip
+    if picture is None:
+        picture = inputs.picture(
+            images["target"], images["mask"], images.get("background"), valid, pass_scale,
+            channels or model.channels,
+        )  # fmt: skip
     notes += tuple(f"{role}: {note}" for role, im in images.items() for note in im.notes)
     files = {role: {"path": im.path, "sha256": im.sha256} for role, im in images.items()}
     # What the picture does not need of them would stay in memory to the end.
@@ -173,6 +209,9 @@ def _fit(
         held[0] = given.get("exposure", model.defaults["exposure"])
         free[0] = False
         opened.append((0, [3]))
+    if kind == Flatland.name and free[0] and not plane.emits(picture):
+        held[0], free[0] = given.get("exposure", model.defaults["exposure"]), False
+        notes += (f"the canvas sends out no light: exposure held at {held[0]:g}",)
     if scene is not None and isinstance(model, Mitchell) and not scene.antialias:
         say("edge pixels")
         begun = _starts(picture, model, given, seed)
@@ -199,7 +238,9 @@ def _look(
     begun = _starts(picture, model, given, seed)
     candidates = [begun[0]]
     if free.any():
-        candidates = [search.climb(picture.small, model, begun, free, held, seed, say).coordinates]
+        ladder = search.SHARP if isinstance(model, Flatland) else search.LADDER
+        climbed = search.climb(picture.small, model, begun, free, held, seed, say, ladder)
+        candidates = [climbed.coordinates]
     if free.any() and model.banded:
         candidates = dips.on_subset(picture, model, candidates[0], free, held, seed, say)
     seen = picture.observe(_pixels(picture, seed))
@@ -223,6 +264,8 @@ def _starts(
     """Where the search begins, best first."""
     if isinstance(model, HoffmanPreetham):
         return screen_air.starts(picture.small, model, given, keep=STARTS, seed=seed)
+    if isinstance(model, Flatland):
+        return starts_in_plane(picture.small, model, given, keep=STARTS, seed=seed)
     assert isinstance(model, Mitchell)
     return screen.starts(picture.small, model, given, keep=STARTS, seed=seed)
 

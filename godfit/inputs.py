@@ -15,6 +15,7 @@ import numpy as np
 
 from godfit.atmosphere import Air
 from godfit.errors import InputError
+from godfit.flatland.model import Flatland
 from godfit.hoffman_preetham import HoffmanPreetham, View
 from godfit.image import Image, decode, read_image
 from godfit.models import AbstractModel, Mitchell
@@ -25,7 +26,7 @@ from godfit.scene import Scene
 from godfit.staged import Staged, resized
 from godfit.taps import convention
 
-MODELS = (Mitchell.name, HoffmanPreetham.name)
+MODELS = (Mitchell.name, HoffmanPreetham.name, Flatland.name)
 # Of Hoffman-Preetham where nothing is said: degrees, metres, taps that D is averaged over.
 FOV, DISTANCE, AVERAGED = 60.0, 1000.0, 100
 
@@ -221,6 +222,11 @@ def check_model(
     for name, wrong in (("free", free), ("shader", shader), ("lights", lights != 1)):
         if wrong:
             raise InputError(f"{name}: expected none with the model {model}, got one; leave it out")
+    if model == Flatland.name:
+        for name, value in (("fov", fov), ("distance", distance)):
+            if value is not None:
+                raise InputError(f"{name}: expected none with the model {model}; leave it out")
+        return
     if fov is not None and not 0 < fov < 180:
         raise InputError(f"fov: expected degrees above 0 and below 180, got {fov:g}")
     away = np.asarray(1.0 if distance is None else distance)

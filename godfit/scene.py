@@ -34,9 +34,9 @@ CAMERA, LIGHT = ("position", "target", "up", "fov_y"), ("position", "radius")
 OBJECT = ("position", "rotation", "scale")
 MAX_SIZE = 16384
 # What [scattering] may hold: a target's settings, and parameters for rendering.
-SETTINGS: dict[str, Any] = {k: v for k, v in SCATTERING.items() if k != "lights"} | dict.fromkeys(
-    ("exposure", "decay", "density", "weight"), (int, float)
-)
+SETTINGS: dict[str, Any] = {
+    k: v for k, v in SCATTERING.items() if k not in ("lights", "model", "rays")
+} | dict.fromkeys(("exposure", "decay", "density", "weight"), (int, float))
 
 # From and to, both included.
 LIMITS = {p.name: (p.lower, min(p.upper, 1e18)) for p in PARAMETERS} | {

@@ -7,7 +7,7 @@ starts that fall behind are dropped. ``settle`` finds coordinates and noise that
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -26,6 +26,8 @@ BLURRED_PIXELS = 256
 # Blur (as a share of the longer side), starts kept, sigma in levels.
 LADDER = ((1 / 64, 3, 4.0), (1 / 128, 2, 2.0), (1 / 256, 1, 1.0), (1 / 512, 1, 1.0))
 ALL = 6
+# Where starts are good enough: none is blurred.
+SHARP = ((0.0, 1, 1.0),)
 # Noise below this many levels means that even the rounding of every pixel is explained.
 EXPLAINED = 0.05
 # Noise below this is lost in the rounding: masks that were rounded themselves leave as much.
@@ -101,11 +103,12 @@ def climb(
     held: np.ndarray,
     seed: int,
     report: Callable[[str], None],
+    ladder: Sequence[tuple[float, int, float]] = LADDER,
 ) -> Point:
     """The best of ``starts`` after the ladder of blurs."""
     pixels = picture.informative(BLURRED_PIXELS, seed)
     points = [Point(start, np.inf, False, 0) for start in starts]
-    for share, keep, sigma in LADDER:
+    for share, keep, sigma in ladder:
         seen = picture.observe(pixels, share * max(picture.size))
         report(f"{len(points)} starts, blur of {share * max(picture.size):.1f} pixels")
         points = [

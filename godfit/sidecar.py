@@ -1,4 +1,4 @@
-"""``x.toml`` beside ``x.png``: the mask or scene, shader and samples that belong to a target."""
+"""``x.toml`` beside ``x.png``: the mask, scene or canvas, shader and samples that belong to a target."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ from typing import Any
 
 from godfit.errors import InputError
 
-FILES = ("mask", "scene", "background")
+FILES = ("mask", "scene", "canvas", "background")
 SCATTERING: dict[str, type | tuple[type, ...]] = {
     "shader": str,
     "samples": int,
     "lights": int,
     "pass_scale": (int, float),
     "transfer": str,
+    "model": str,
+    "rays": int,
 }
 
 

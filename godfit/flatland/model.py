@@ -7,16 +7,18 @@ the same as blurring or averaging the picture.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from godfit.flatland.canvas import Canvas
-from godfit.flatland.rays import passing
+from godfit.flatland.rays import enough, passing
 from godfit.flatland.sky import Sky
 from godfit.models import AbstractModel, Vector
 from godfit.parameters import Parameter
@@ -39,12 +41,24 @@ PARAMETERS = (
 RAYS = 64
 
 
-def basis(canvas: Canvas, rays: int) -> Float[Array, "h w channels"]:
-    """(h, w, 3 + rays) what a pixel shows of the canvas itself, and how much of the sky's every
-    R-th."""
+def basis(canvas: Canvas, rays: int) -> Float[np.ndarray, "h w channels"]:
+    """(h, w, 3 + rays), float32, what a pixel shows of the canvas itself, and how much of the sky
+    every ray shows it.
+
+    The rays go in float64: one that meets a corner and passes it on the wrong side is off by a whole
+    ray's share, which a fit to bytes would see.
+    """
+    with jax.enable_x64(True):
+        exact = Canvas(*(jnp.asarray(np.asarray(z), jnp.float64) for z in jax.tree.leaves(canvas)))
+        return np.asarray(_basis(exact, rays))
+
+
+@functools.partial(jax.jit, static_argnums=1)
+def _basis(canvas: Canvas, rays: int):
     h, w = canvas.size
     open_ = (1 - canvas.opacity)[..., None]
-    return (open_ * passing(canvas, rays, h + w + 2)).at[..., :3].add(canvas.radiance)
+    parts = open_ * passing(canvas, rays, enough(h, w))
+    return parts.at[..., :3].add(canvas.radiance).astype(jnp.float32)
 
 
 class Flatland(AbstractModel):

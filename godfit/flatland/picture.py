@@ -65,7 +65,7 @@ def render(
     exposure, by `"distance"` and `"march"`. The others have no derivative, and say so: a ValueError.
     Raises InputError for settings that mean nothing.
     """
-    check(canvas, rays, method, steps, grain, published)
+    check_settings(rays, method, steps, grain, published)
     sky = Sky.none() if sky is None else sky
     h, w = canvas.size
     if published:
@@ -105,8 +105,8 @@ def render(
     return exposure * light + _grain(light, grain, seed)
 
 
-def check(
-    canvas: Canvas, rays: int, method: str, steps: int | None, grain: float, published: bool
+def check_settings(
+    rays: int, method: str, steps: int | None, grain: float, published: bool
 ) -> None:
     """Raise InputError for settings that mean nothing."""
     if method not in METHODS:
