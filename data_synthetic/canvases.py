@@ -1,7 +1,7 @@
 """What is drawn for the light in the plane, and the sky that it stands in.
 
-A canvas is an RGBA picture: colour is emission, alpha opacity, black and opaque hides. Every one but
-the sand's is drawn larger by formula and averaged; all are rounded to bytes before anything is
+A canvas is an RGBA picture: colour is emission, alpha opacity, black and opaque hides. Every one
+but the sand's is drawn larger by formula and averaged; all are rounded to bytes before anything is
 rendered from them.
 """
 
@@ -116,7 +116,8 @@ def maze(size: int = 192, cells: int = 12, seed: int = 3) -> np.ndarray:
 
 
 def of_sand(cells: np.ndarray, scale: int) -> np.ndarray:
-    """(scale h, scale w, 4): what is solid hides, a grain glows in its colour, fainter than a lamp."""
+    """(scale h, scale w, 4): what is solid hides, a grain glows in its colour, fainter than a
+    lamp."""
     colours = np.zeros((sand.GRAIN + len(COLOURS), 4))
     colours[sand.SOLID] = (0, 0, 0, 1)
     for i, colour in enumerate(COLOURS):

@@ -3,8 +3,8 @@
     python data_synthetic/make.py [FOLDER]
     python data_synthetic/make.py --gif FILE flight
 
-Masks of scenes (stages.py) are the rasteriser's; canvases of the light in the plane (canvases.py) are
-drawn by formula or by falling sand (sand.py). With --gif what moves becomes an animation.
+Masks of scenes (stages.py) are the rasteriser's; canvases of the light in the plane (canvases.py)
+are drawn by formula or by falling sand (sand.py). With --gif what moves becomes an animation.
 
 A mask is rounded to bytes before anything is rendered from it, so that the parameters in the table
 below are exactly the picture's. Pictures are rendered by the reference sum in float64 and rounded

@@ -338,9 +338,9 @@ def compare(
 ) -> int:
     """Fit Mitchell's sum and Hoffman and Preetham's daylight to TARGET and say which it deserves.
 
-    Each is fitted with the light where it is given, if it is, and with the light free; with --canvas
-    the light in the plane as well. The table goes to stdout, compare.json and compare.png to
-    x.godfit/. Exit status 3 if none converged.
+    Each is fitted with the light where it is given, if it is, and with the light free; with
+    --canvas the light in the plane as well. The table goes to stdout, compare.json and compare.png
+    to x.godfit/. Exit status 3 if none converged.
     """
     place = None if light is None else pair(light)
     image, options, folder = opened(target, given, output)

@@ -1,5 +1,5 @@
-"""Which model a picture deserves: Mitchell's sum, Hoffman and Preetham's daylight or, where there is
-a canvas, the light in the plane.
+"""Which model a picture deserves: Mitchell's sum, Hoffman and Preetham's daylight or, where there
+is a canvas, the light in the plane.
 
 All are fitted to the same values with the same likelihood, with the light where the scene has it
 and with the light free, and judged by Akaike's and Schwarz's criteria (Burnham & Anderson, Model
@@ -117,9 +117,9 @@ def compare(
     progress: Callable[[str], None] | None = None,
     **options: Any,
 ) -> Comparison:
-    """Fit both models, and with a ``canvas`` that of the plane; arguments are those of `godfit.fit`.
-    ``light`` (u, v), or the scene's, is where the fits with a given light hold it; without either
-    there are none of these."""
+    """Fit both models, and with a ``canvas`` that of the plane; arguments are those of
+    `godfit.fit`. ``light`` (u, v), or the scene's, is where the fits with a given light hold it;
+    without either there are none of these."""
     say = progress or (lambda text: None)
     picture = inputs.image(target, options.get("transfer", "none"))
     place: dict[str, float] = {}

@@ -72,8 +72,8 @@ def fit(
     - `canvas`: in place of a mask, what is drawn in the plane: a `godfit.flatland.Canvas`, an image
       with alpha, or a scene of shapes.
     - `model`: `"mitchell"`, the screen-space sum; `"hoffman-preetham"`, daylight behind occluders:
-      the mask is then 1 where the sky is seen and 0 where something hides it; `"flatland"`, light in
-      the plane of a canvas. By default the last where there is a canvas, and else the first.
+      the mask is then 1 where the sky is seen and 0 where something hides it; `"flatland"`, light
+      in the plane of a canvas. By default the last where there is a canvas, and else the first.
     - `free`: what of the scene is fitted beside the scattering, as in `"light.position"`,
       `"object[0].rotation"`; the light on the screen is then the scene's. Without, the mask is
       drawn once, with or without anti-aliasing, whichever the picture agrees with.

@@ -1,4 +1,5 @@
-"""``x.toml`` beside ``x.png``: the mask, scene or canvas, shader and samples that belong to a target."""
+"""``x.toml`` beside ``x.png``: the mask, scene or canvas, shader and samples that belong to a
+target."""
 
 from __future__ import annotations
 

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
-from godfit.image import read_image
+from godfit.flatland import Sky, read_canvas, render
+from godfit.image import read_image, read_layer
 from godfit.inputs import drawn
 from godfit.models import Mitchell
 from godfit.raster import on_screen
@@ -27,7 +28,7 @@ with mock.patch.object(sys, "meta_path", [f for f in sys.meta_path if not hasatt
 
 FOLDER = Path(__file__).parent.parent / "data_synthetic"
 MANIFEST = json.loads((FOLDER / "manifest.json").read_text())
-TARGETS, SCENES = MANIFEST["targets"], MANIFEST["scenes"]
+TARGETS, SCENES, CANVASES = (MANIFEST[key] for key in ("targets", "scenes", "canvases"))
 SEQUENCES = ("icosahedra", "flight")
 COMMITTED = sorted(p.name for p in FOLDER.iterdir() if p.suffix in (".png", ".toml", ".json"))
 
@@ -79,11 +80,12 @@ def test_made_again_it_is_the_same(made, name):
 
 
 def test_manifest_names_every_file():
-    everything = TARGETS | SCENES
-    assert len(everything) == len(TARGETS) + len(SCENES)
+    everything = TARGETS | SCENES | CANVASES
+    assert len(everything) == len(TARGETS) + len(SCENES) + len(CANVASES)
     named = {"manifest.json"} | {f"{name}.toml" for name in everything}
     for truth in everything.values():
-        named |= {truth[key] for key in ("target", "mask", "scene", "background") if key in truth}
+        keys = ("target", "mask", "scene", "background", "canvas")
+        named |= {truth[key] for key in keys if key in truth}
     assert sorted(named) == COMMITTED
     assert MANIFEST["schema"] == 1
     assert len(TARGETS) >= 8
@@ -225,6 +227,37 @@ def test_strut_ends_where_it_should(stages, end):
     part = stages.strut(0.1, (0, 0, 0), end)
     tip = part["position"] + stages.matrix(part["rotation"]) @ [0, part["height"] / 2, 0]
     np.testing.assert_allclose(tip, end, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", CANVASES)
+def test_canvas_and_truth_give_the_target(made, name):
+    truth = CANVASES[name]
+    assert read_sidecar(str(FOLDER / truth["target"])) == {
+        "canvas": str(FOLDER / truth["canvas"]),
+        "model": "flatland",
+        "rays": truth["rays"],
+    }
+    params = truth["params"]
+    sun, sky = (tuple(params[f"{key}_{c}"] for c in "rgb") for key in ("sun", "sky"))
+    around = Sky(params["sun_angle"], params["sun_width"], sun, sky)
+    image = render(read_canvas(FOLDER / truth["canvas"]), around, rays=truth["rays"],
+                   exposure=params["exposure"])  # fmt: skip
+    target = _levels(FOLDER / truth["target"])
+    apart = np.abs(np.floor(np.asarray(image).clip(0, 1) * 255 + 0.5) - target)
+    assert apart.max() <= 1
+    assert np.mean(apart > 0) < 1e-3
+    assert len(np.unique(target)) >= 60
+    new, old = (read_layer(folder / truth["canvas"])[1] for folder in (made, FOLDER))
+    np.testing.assert_array_equal(new, old)
+
+
+def test_animation_of_sand(make, tmp_path):
+    make.make_sand_gif(tmp_path / "x.gif", frames=4)
+    with Image.open(tmp_path / "x.gif") as animation:
+        assert animation.info["loop"] == 0
+        frames = [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(animation)]
+    assert np.shape(frames) == (4, 384, 384, 3)
+    assert all((a != b).any() for a, b in zip(frames[1:], frames, strict=False))
 
 
 @pytest.mark.parametrize("name", SEQUENCES)

@@ -11,7 +11,6 @@ import pytest
 
 from godfit.errors import InputError
 from godfit.flatland import Canvas, Sky, canvas, render
-from godfit.flatland.drawing import Drawing, Shape
 from godfit.flatland.rays import angles, free_distance, gathered, passing
 
 SKY = Sky(70.0, 50.0, (0.9, 0.8, 0.5), (0.1, 0.2, 0.4))
@@ -105,7 +104,8 @@ class TestClosedForms:
 
     def test_disc(self):
         """A disc of radius R fills asin(R / r) / pi of the circle at distance r. R is large against
-        a pixel: what is drawn with pixels that stick out is seen as if it were 0.4 pixels larger."""
+        a pixel: what is drawn with pixels that stick out is seen as if it were 0.4 pixels
+        larger."""
         h, w, radius = 290, 430, 140.0
         y, x = np.indices((h, w)) + 0.5
         r = np.hypot(x - 145, y - 145)
@@ -144,7 +144,8 @@ class TestClosedForms:
         found = light(made, sky, 256)[..., 0]
         rows, columns = np.arange(40, 110), np.arange(20, 100)
         y, x = np.meshgrid(rows + 0.5, columns + 0.5, indexing="ij")
-        # The wall is one pixel thick: each ray is stopped by the nearer or the farther of its faces.
+        # The wall is one pixel thick: each ray is stopped by the nearer or the farther of its
+        # faces.
         left, right = x - 45, 45 + a - x
         low = np.arctan2(left, np.where(left > 0, y - 30, y - 31))
         high = np.arctan2(right, np.where(right > 0, y - 30, y - 31))

@@ -175,5 +175,5 @@ def test_exr_is_associated(tmp_path):
 
 def test_no_alpha(tmp_path):
     write_image(tmp_path / "c.png", np.zeros((3, 4, 3)))
-    with pytest.raises(InputError, match="expected a canvas with alpha .* got an image without"):
+    with pytest.raises(InputError, match="got an image without"):
         read_canvas(tmp_path / "c.png")

@@ -1,4 +1,5 @@
-"""The light in the plane, fitted and rendered: as a model, from Python and from the command line."""
+"""The light in the plane, fitted and rendered: as a model, from Python and from the command
+line."""
 
 import json
 from pathlib import Path
@@ -18,7 +19,8 @@ FOLDER = Path(__file__).parents[1] / "data_synthetic"
 MANIFEST = json.loads((FOLDER / "manifest.json").read_text())["canvases"]
 RAYS = 24
 TRUTH = {
-    "exposure": 0.8, "sun_angle": 130.0, "sun_width": 35.0, "sun_r": 1.4, "sun_g": 1.1, "sun_b": 0.7,
+    "exposure": 0.8, "sun_angle": 130.0, "sun_width": 35.0, "sun_r": 1.4, "sun_g": 1.1,
+    "sun_b": 0.7,
     "sky_r": 0.15, "sky_g": 0.25, "sky_b": 0.45,
 }  # fmt: skip
 
@@ -36,9 +38,7 @@ def drawing(size=(36, 44), emits=True):
 
 def model(truth):
     sun, sky = (tuple(truth[f"{name}_{c}"] for c in "rgb") for name in ("sun", "sky"))
-    return Flatland(
-        truth["exposure"], Sky(truth["sun_angle"], truth["sun_width"], sun, sky), RAYS
-    )
+    return Flatland(truth["exposure"], Sky(truth["sun_angle"], truth["sun_width"], sun, sky), RAYS)
 
 
 def pictured(values, truth=TRUTH, noise=0.0, seed=0):
@@ -157,7 +157,10 @@ NO_CANVAS = "canvas: expected one with the model flatland, got none"
         ({"canvas": "c.png", "fov": 30.0}, "fov: expected none with the model flatland"),
         ({"canvas": "c.png", "rays": 0}, "rays: expected a whole number from 1 to 1024, got 0"),
         ({"canvas": "c.png", "rays": 2000}, "rays: expected a whole number from 1 to 1024"),
-        ({"canvas": "c.png", "fix": {"sun_width": 0.0}}, "expected sun_width from 0.1 to 180, got 0"),
+        (
+            {"canvas": "c.png", "fix": {"sun_width": 0.0}},
+            "expected sun_width from 0.1 to 180, got 0",
+        ),
         ({"canvas": "c.png", "fix": {"sun_wide": 3.0}}, "did you mean 'sun_width'"),
         ({"canvas": "s.png"}, "canvas: expected the target's 44x36 pixels, got 5x4"),
         ({"canvas": "t.png"}, "expected a canvas with alpha"),
@@ -227,7 +230,7 @@ class TestRender:
 
     def test_shapes(self, files):
         (files / "s.toml").write_text(
-            '[image]\nwidth = 30\nheight = 20\n[sky]\nsun = [0, 0, 0]\nsky = [0, 0, 0]\n'
+            "[image]\nwidth = 30\nheight = 20\n[sky]\nsun = [0, 0, 0]\nsky = [0, 0, 0]\n"
             '[[shape]]\nkind = "disc"\ncentre = [0.5, 0.5]\nradius = 0.2\nradiance = "#ff8000"\n'
         )
         out = files / "o.npy"
@@ -307,13 +310,11 @@ class TestFitCommand:
         write_image(files / "m.png", mask)
         command = ["compare", files / "t.png", "--mask", files / "m.png", "--canvas",
                    files / "c.png", "--rays", RAYS, "--shader", "mitchell", "--samples", 20,
-                   "--fov", 60, "--distance", 1000, "-o", files / "out", "--json", "-q"]  # fmt: skip
+                   "--fov", 60, "--distance", 900, "-o", files / "o", "-q", "--json"]  # fmt: skip
         assert main([str(a) for a in command]) == 0
         found = json.loads(capsys.readouterr().out)
         assert found["preferred"] == "flatland"
         assert {each["fit"]["model"] for each in found["fits"]} == {
             "mitchell", "hoffman-preetham", "flatland",
         }  # fmt: skip
-        assert (files / "out" / "compare.png").exists()
-
-
+        assert (files / "o" / "compare.png").exists()

@@ -2,8 +2,8 @@
 
 After "Building Real-Time Global Illumination" (jason.today/gi, 2024): every lit pixel of a canvas
 sends out light, every opaque one stops it. ``canvas.py`` has the canvas, ``drawing.py`` shapes to
-draw it from, ``sky.py`` what lies around it; ``rays.py``, ``cascades.py`` and ``published.py`` are ways
-from there to a picture, ``picture.py`` the way in to all of them.
+draw it from, ``sky.py`` what lies around it; ``rays.py``, ``cascades.py`` and ``published.py`` are
+ways from there to a picture, ``picture.py`` the way in to all of them.
 """
 
 from godfit.flatland.accumulate import accumulated, effective_frames, weights

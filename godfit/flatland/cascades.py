@@ -4,12 +4,12 @@ Sannikov, "Radiance Cascades: A Novel Approach to Calculating Global Illuminatio
 light from near needs many probes and few directions, light from far few probes and many directions.
 Cascade n has probes 2^n spacing apart, each with 4^n rays directions, which see the interval of
 distances from (4^n - 1) / 3 to (4^(n+1) - 1) / 3 times ``interval``; so every cascade but the last
-costs the same, whatever the number of directions. From the far end on, every ray is continued by the
-four directions of the next cascade that it becomes, in the four probes about it.
+costs the same, whatever the number of directions. From the far end on, every ray is continued by
+the four directions of the next cascade that it becomes, in the four probes about it.
 
 Continued by an interpolation of those probes' rays, which start elsewhere, light leaks past edges
-and rings about lamps. Here, in the bilinear fix (same author and others, 2024), a ray is traced four
-times, to where the ray of each of the four begins, and the four whole ways are interpolated.
+and rings about lamps. Here, in the bilinear fix (same author and others, 2024), a ray is traced
+four times, to where the ray of each of the four begins, and the four whole ways are interpolated.
 
 What remains of error: within a cascade's interval only so many directions are told apart, and a
 probe's light is interpolated between probes. No derivative: what is asked for one is refused.
@@ -39,7 +39,8 @@ def cascades(
     spacing: float = SPACING,
     interval: float = INTERVAL,
 ) -> Float[Array, "h w 3"]:
-    """The mean radiance that reaches every pixel; ``rays`` are the directions of the first cascade."""
+    """The mean radiance that reaches every pixel; ``rays`` are the directions of the first
+    cascade."""
     h, w = canvas.size
     dtype = canvas.opacity.dtype
     free, cells = free_distance(canvas), cells_of(canvas)

@@ -2,8 +2,8 @@
 
 Arrays are those of ``godfit.flatland.rays.Prepared``: ``free`` (h + 2, w + 2), how far a ray may go
 from anywhere in a cell without meeting anything, or FILLED or OUTSIDE; ``cells``
-((h + 2) (w + 2), 4), what a cell adds to a ray and its opacity; ``directions`` (rays kinds, 2), right
-and down; ``sky`` (rays kinds, 3); ``turn`` (h, w), which of the kinds a pixel's rays take.
+((h + 2) (w + 2), 4), what a cell adds to a ray and its opacity; ``directions`` (rays kinds, 2),
+right and down; ``sky`` (rays kinds, 3); ``turn`` (h, w), which of the kinds a pixel's rays take.
 ``numbers`` are the length of a step, 0 for one that goes by ``free``, and the little that takes a
 ray across a cell's border; ``whole`` are the rays, kinds, steps and the first row.
 """
@@ -113,8 +113,8 @@ def _leap(flat, size, x, y, t, ways, steps, used, little, place, edge, value):
 
     ``size`` are the columns, and the last row and column, of the padded canvas; ``ways`` (6, LANES)
     the directions, their inverses and whether they go right and down; ``place``, ``edge`` and
-    ``value`` are room to work in. No lane has a branch, and the one loop that reads the canvas, which
-    cannot be done by vectors, does nothing else.
+    ``value`` are room to work in. No lane has a branch, and the one loop that reads the canvas,
+    which cannot be done by vectors, does nothing else.
     """
     real = x.dtype.type
     width, high, wide = np.int32(size[0]), real(size[1]), real(size[2])
@@ -358,9 +358,10 @@ def _cascade(free, cells, directions, upper, numbers, whole, out):
     """One cascade with the one above it merged, (rows, columns, 4 rays): radiance and what passes
     of every ray of the probes of some rows; see ``godfit.flatland.cascades``.
 
-    ``directions`` (rays, 2); ``upper`` (upper rows columns, 4 branch rays); ``numbers`` are spacing,
-    start and end of this cascade's interval, spacing of the next (0: there is none) and the little;
-    ``whole`` the first row, the upper rows and columns, and how many of its rays one becomes.
+    ``directions`` (rays, 2); ``upper`` (upper rows columns, 4 branch rays); ``numbers`` are
+    spacing, start and end of this cascade's interval, spacing of the next (0: there is none) and
+    the little; ``whole`` the first row, the upper rows and columns, and how many of its rays one
+    becomes.
     """
     real = free.dtype.type
     spacing, start, end, above, little = (
@@ -410,7 +411,7 @@ def _cascade(free, cells, directions, upper, numbers, whole, out):
                         own = np.int64(-1)
                         if start == 0:
                             own = np.int64(from_y) * free.shape[1] + np.int64(from_x)
-                        found, ended = _walk(
+                        found, _ = _walk(
                             free, cells, from_x, from_y, way_x / far, way_y / far, real(0), own,
                             far, real(0), little, steps, 1, hits,
                         )  # fmt: skip

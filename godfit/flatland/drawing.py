@@ -1,8 +1,8 @@
 """Shapes that a canvas is drawn from, differentiable in where they are, and their TOML file.
 
-Places and lengths are in picture heights, x to the right and y up, (0, 0) the bottom-left corner; an
-edge is ``softness`` pixels wide. The distance to every shape is exact (after Quilez, "2D distance
-functions"), also inside, so an edge is as wide wherever it is.
+Places and lengths are in picture heights, x to the right and y up, (0, 0) the bottom-left corner;
+an edge is ``softness`` pixels wide. The distance to every shape is exact (after Quilez, "2D
+distance functions"), also inside, so an edge is as wide wherever it is.
 """
 
 from __future__ import annotations
@@ -125,7 +125,8 @@ def _to_polygon(x, y, points):
 
 
 def read_drawing(path: str | os.PathLike[str]) -> Drawing:
-    """Read a scene of shapes; raises InputError naming the file, the key, what was expected and got.
+    """Read a scene of shapes; raises InputError naming the file, the key, what was expected and
+    got.
 
     ``[image]`` has width and height and may have softness; ``[[shape]]`` a kind, its numbers,
     radiance (three numbers of 0 or more, or "#rrggbb") and opacity; ``[sky]`` may have sun_angle,

@@ -16,7 +16,7 @@ from godfit.errors import InputError
 from godfit.flatland.canvas import Canvas, read_canvas
 from godfit.flatland.drawing import read_drawing
 from godfit.flatland.model import PARAMETERS, RAYS, Flatland, basis
-from godfit.flatland.picture import METHODS, check_settings, render
+from godfit.flatland.picture import render
 from godfit.flatland.sky import ANGLE, SKY, SUN, WIDTH, Sky, check_sky
 from godfit.image import Image
 from godfit.observation import Picture
@@ -24,10 +24,8 @@ from godfit.observation import Picture
 # A fit holds one number for every pixel and ray.
 MOST_RAYS = 1024
 LARGEST_BASIS = 1 << 31
-OPTIONS = (
-    "rays", "method", "steps", "jitter", "grain", "seed", "published",
-    "sun_angle", "sun_width", "sun", "sky", "exposure",
-)  # fmt: skip
+# Of a render, beside sky and exposure.
+OPTIONS = ("rays", "method", "steps", "jitter", "grain", "seed", "published")
 
 Source = str | os.PathLike[str] | Canvas
 
@@ -70,15 +68,15 @@ def emits(picture: Picture) -> bool:
 
 
 def rendered(path: str, given: Mapping[str, Any]) -> np.ndarray:
-    """The picture of the canvas at ``path``, (h, w, 3), not clamped: ``given`` has OPTIONS, and
-    parameters under the names that a fit gives them; what is left out is the drawing's, or the
-    published sky's."""
+    """The picture of the canvas at ``path``, (h, w, 3), not clamped: ``given`` has OPTIONS,
+    sun_angle, sun_width, sun, sky and exposure, or parameters under the names that a fit gives
+    them; what is left out is the drawing's, or the published sky's."""
     settings: dict[str, Any] = {}
     if path.endswith(".toml"):
         drawing = read_drawing(path)
-        settings, made = dict(drawing.settings), None
+        settings, made = dict(drawing.settings), drawing.drawn()
     else:
-        drawing, made = None, read_canvas(path)
+        made = read_canvas(path)
     settings |= {k: v for k, v in given.items() if v is not None}
     for row in PARAMETERS[3:]:
         name, channel = row.name.split("_")
@@ -94,12 +92,6 @@ def rendered(path: str, given: Mapping[str, Any]) -> np.ndarray:
     exposure = settings.get("exposure", 1.0)
     if not 0 <= exposure < np.inf:
         raise InputError(f"exposure: expected a finite number of 0 or more, got {exposure:g}")
-    options = {k: settings[k] for k in OPTIONS[:7] if k in settings}
-    check_settings(
-        options.get("rays", RAYS), options.get("method", METHODS[0]), options.get("steps"),
-        options.get("grain", 0.0), options.get("published", False),
-    )  # fmt: skip
-    if made is None:
-        assert drawing is not None
-        made = drawing.drawn()
-    return np.asarray(render(made, Sky(*sky), exposure=exposure, **({"rays": RAYS} | options)))
+    options: dict[str, Any] = {"rays": RAYS}
+    options |= {k: settings[k] for k in OPTIONS if k in settings}
+    return np.asarray(render(made, Sky(*sky), exposure=exposure, **options))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -45,8 +45,8 @@ def basis(canvas: Canvas, rays: int) -> Float[np.ndarray, "h w channels"]:
     """(h, w, 3 + rays), float32, what a pixel shows of the canvas itself, and how much of the sky
     every ray shows it.
 
-    The rays go in float64: one that meets a corner and passes it on the wrong side is off by a whole
-    ray's share, which a fit to bytes would see.
+    The rays go in float64: one that meets a corner and passes it on the wrong side is off by a
+    whole ray's share, which a fit to bytes would see.
     """
     with jax.enable_x64(True):
         exact = Canvas(*(jnp.asarray(np.asarray(z), jnp.float64) for z in jax.tree.leaves(canvas)))
@@ -64,8 +64,8 @@ def _basis(canvas: Canvas, rays: int):
 class Flatland(AbstractModel):
     """``exposure`` (), the ``sky`` and the number of rays (``samples``, not differentiated).
 
-    Fit coordinates, one for each parameter and in their order: exposure, angle, width, exposure times
-    the sun's radiance, exposure times the sky's. All but angle and width are linear.
+    Fit coordinates, one for each parameter and in their order: exposure, angle, width, exposure
+    times the sun's radiance, exposure times the sky's. All but angle and width are linear.
     """
 
     name: ClassVar[str] = "flatland"
@@ -78,7 +78,7 @@ class Flatland(AbstractModel):
     sky: Sky
     samples: int = eqx.field(static=True, default=RAYS)
 
-    def __init__(self, exposure=1.0, sky: Sky | None = None, samples: int = RAYS):
+    def __init__(self, exposure: Any = 1.0, sky: Sky | None = None, samples: int = RAYS):
         self.exposure = jnp.asarray(exposure, float)
         self.sky = Sky() if sky is None else sky
         self.samples = samples
@@ -144,8 +144,8 @@ class Flatland(AbstractModel):
         size: tuple[int, int] | None = None,
         pixels: Int[Array, " n"] | None = None,
     ) -> Float[Array, "..."]:
-        """(h, w, 3) or (n, 3), linear, not clamped. ``mask`` is ``basis(canvas, samples)``; there is
-        no ``background``, and ``size`` is the canvas's."""
+        """(h, w, 3) or (n, 3), linear, not clamped. ``mask`` is ``basis(canvas, samples)``; there
+        is no ``background``, and ``size`` is the canvas's."""
         if background is not None:
             raise ValueError("flatland: expected no background, got one; draw it on the canvas")
         parts = mask.reshape(-1, mask.shape[-1])

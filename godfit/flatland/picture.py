@@ -50,20 +50,21 @@ def render(
     - `rays`: for each pixel, evenly around the circle; of cascades, around a probe of the first.
     - `method`: `"distance"` (see `godfit.flatland.rays`; exact but for the number of rays),
       `"march"` (fixed steps) or `"cascades"` (see `godfit.flatland.cascades`).
-    - `steps`: of a march, how many the canvas's diagonal has, by default two a pixel; of the distance
-      march, after how many a ray gives up and sees nothing, by default enough for any.
-    - `jitter`: rays go anywhere in their part of the circle, each pixel's by an angle of its own: bands
-      become noise. `seed` chooses; a mean over seeds has more rays.
+    - `steps`: of a march, how many the canvas's diagonal has, by default two a pixel; of the
+      distance march, after how many a ray gives up and sees nothing, by default enough for any.
+    - `jitter`: rays go anywhere in their part of the circle, each pixel's by an angle of its own:
+      bands become noise. `seed` chooses; a mean over seeds has more rays.
     - `grain`: standard deviation of noise laid on the picture, after the exposure.
     - `exposure`: what everything is multiplied by.
-    - `published`: as the article's shaders have it, see `godfit.flatland.published`; `jitter` is then
-      always there, and the same in every frame.
-    - `plain`: XLA's own loops in place of compiled ones, by default wherever JAX does not run on a CPU.
+    - `published`: as the article's shaders have it, see `godfit.flatland.published`; `jitter` is
+      then always there, and the same in every frame.
+    - `plain`: XLA's own loops in place of compiled ones, by default wherever JAX does not run on a
+      CPU.
 
-    **Returns:** (h, w, 3), linear, not clamped; differentiable, forward and reverse, in the canvas's
-    radiance and opacity (and so in the shapes of `godfit.flatland.drawing`), the sky's four and the
-    exposure, by `"distance"` and `"march"`. The others have no derivative, and say so: a ValueError.
-    Raises InputError for settings that mean nothing.
+    **Returns:** (h, w, 3), linear, not clamped; differentiable, forward and reverse, in the
+    canvas's radiance and opacity (and so in the shapes of `godfit.flatland.drawing`), the sky's
+    four and the exposure, by `"distance"` and `"march"`. The others have no derivative, and say so:
+    a ValueError. Raises InputError for settings that mean nothing.
     """
     check_settings(rays, method, steps, grain, published)
     sky = Sky.none() if sky is None else sky

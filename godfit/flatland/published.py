@@ -4,15 +4,17 @@ What differs from ``godfit.flatland.rays``, each of it shown by a test that name
 
 - the distance march's rays leave at 2 pi / R + i + noise: a radian apart, not a R-th of the circle;
 - the sun's smoothstep has its edges reversed, which GLSL leaves undefined and drivers compute as
-  they stand: the light jumps from none to all at the sun's own angle and falls off to one side only;
+  they stand: the light jumps from none to all at the sun's own angle and falls off to one side
+  only;
 - the place (0, 0) means "no seed" in the flood, so that an empty canvas has a distance to a corner;
 - distances are in texture coordinates, longer along the shorter side of the picture;
-- a ray has arrived where the distance is below .001, which is under a pixel: beside a wall it creeps
-  through its steps, and where they do not suffice it sees the sky through the wall;
+- a ray has arrived where the distance is below .001, which is under a pixel: beside a wall it
+  creeps through its steps, and where they do not suffice it sees the sky through the wall;
 - noise is one number for every pixel, the same for all its rays and every frame;
 - what hides is what has an opacity above one half, all or nothing.
 
-Every choice is a threshold: nothing here has a true derivative, and one that is asked for is refused.
+Every choice is a threshold: nothing here has a true derivative, and one that is asked for is
+refused.
 """
 
 from __future__ import annotations

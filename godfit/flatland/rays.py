@@ -6,11 +6,11 @@ through or the canvas ends and the sky is seen. A pixel counts once, its own doe
 
 - ``march``: always the same; what is crossed in less than a step may be leapt over;
 - ``distance``: sphere tracing (Hart, "Sphere Tracing", The Visual Computer 12 (1996)) through the
-  jump-flood field, and near surfaces to the next pixel's border, so that nothing is leapt over: what
-  is left of error is the number of rays, and pixels whose jump-flood distance is too long.
+  jump-flood field, and near surfaces to the next pixel's border, so that nothing is leapt over:
+  what is left of error is the number of rays, and pixels whose jump-flood distance is too long.
 
-Derivatives by radiance, opacity and sky are those of this sum, exact for the rays that there are, at
-empty pixels too. Where rays go does not depend on the canvas's values, and opacity enters as a
+Derivatives by radiance, opacity and sky are those of this sum, exact for the rays that there are,
+at empty pixels too. Where rays go does not depend on the canvas's values, and opacity enters as a
 product, so shapes whose edges are soft on the canvas have true derivatives by their position.
 """
 
@@ -92,16 +92,16 @@ def gathered(
     """The mean over every pixel's rays of what they see.
 
     ``sky`` has the radiance that every ray of every kind sees outside; ``step`` is in pixels, 0 for
-    the distance march; ``turn`` is each pixel's kind; ``plain`` asks for XLA's own loops in place of
-    the compiled ones, which are for CPUs.
+    the distance march; ``turn`` is each pixel's kind; ``plain`` asks for XLA's own loops in place
+    of the compiled ones, which are for CPUs.
     """
     prepared = prepare(canvas, sky, rays, step, turn)
     if plain:
         from godfit.flatland.reference import walk
 
         h, w = canvas.size
-        # Leaps only where they are counted: in XLA's loops, of a fixed length, they gain nothing, and
-        # what is leapt over would have no derivative.
+        # Leaps only where they are counted: in XLA's loops, of a fixed length, they gain nothing,
+        # and what is leapt over would have no derivative.
         return walk(prepared, rays, steps, step, leap=steps < enough(h, w))
     return _seen(prepared.cells, prepared.sky, prepared, (rays, steps, step))
 
@@ -219,11 +219,12 @@ def _backward(how, which, given: Prepared, pull):
     arguments, whole = _numbers(given, how)
     cells, kinds = given.cells.shape[0], given.sky.shape[0]
     pull = pull.reshape(h, 3 * w)
-    both = sum(
+    parts = [
         call(
             "transpose", (1, cells + kinds, 4), dtype, *arguments,
             jnp.asarray([*whole, begin, begin + size], jnp.int32), pull,
         )
         for begin, size in shares(h, TRANSPOSED_CALLS)
-    )[0]  # fmt: skip
+    ]  # fmt: skip
+    both = jnp.concatenate(parts, 0).sum(0)
     return both[:cells] if which == 0 else both[cells:, :3]

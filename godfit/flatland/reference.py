@@ -1,4 +1,5 @@
-"""The walk of ``godfit.flatland.rays`` in plain JAX: the definition, one step of all pixels at a time.
+"""The walk of ``godfit.flatland.rays`` in plain JAX: the definition, one step of all pixels at a
+time.
 
 Slow, differentiable both ways by JAX's own rules. What is compiled is held against this.
 """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -29,7 +30,7 @@ class Sky(eqx.Module):
     sun: Float[Array, "3"]
     sky: Float[Array, "3"]
 
-    def __init__(self, angle=ANGLE, width=WIDTH, sun=SUN, sky=SKY):
+    def __init__(self, angle: Any = ANGLE, width: Any = WIDTH, sun: Any = SUN, sky: Any = SKY):
         self.angle, self.width = jnp.asarray(angle, float), jnp.asarray(width, float)
         self.sun, self.sky = jnp.asarray(sun, float), jnp.asarray(sky, float)
 
@@ -47,8 +48,9 @@ class Sky(eqx.Module):
         return plain + (1 - u * u * (3 - 2 * u))[..., None] * one
 
     def over(self, bins: int) -> Float[Array, "bins 3"]:
-        """Means over the ``bins`` equal parts of the circle, the first from 0 to 360 / bins degrees,
-        exact: a sun narrower than a part is not missed, and moves smoothly from one to the next."""
+        """Means over the ``bins`` equal parts of the circle, the first from 0 to 360 / bins
+        degrees, exact: a sun narrower than a part is not missed, and moves smoothly from one to the
+        next."""
         half = 180 / bins
         middle = (2 * jnp.arange(bins, dtype=self.angle.dtype) + 1) * half
         off = (middle - self.angle + 180) % 360 - 180

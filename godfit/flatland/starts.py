@@ -1,5 +1,5 @@
-"""Starting points for the light in the plane: suns all around, of several widths, are tried on a few
-hundred pixels, with the exposure and the colours, which are linear, solved for."""
+"""Starting points for the light in the plane: suns all around, of several widths, are tried on a
+few hundred pixels, with the exposure and the colours, which are linear, solved for."""
 
 from __future__ import annotations
 
