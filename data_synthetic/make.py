@@ -464,7 +464,10 @@ def make(folder: Path) -> None:
         truth = {"shader": shader, "samples": samples, "params": params, "note": note}
         truths[name] = files | truth
     scenes = {name: make_stage(folder, name, stage) | at for name, stage, at in stages()}
-    drawn = {name: make_plane(folder, name, *rest) | more for name, *rest, more in planes()}
+    drawn = {
+        name: make_plane(folder, name, values, truth) | more
+        for name, values, truth, more in planes()
+    }
     manifest = {"schema": 1, "targets": truths, "scenes": scenes, "canvases": drawn}
     text = json.dumps(manifest, indent=1) + "\n"
     atomic_write(folder / "manifest.json", text.encode())

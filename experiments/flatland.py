@@ -30,8 +30,8 @@ from scipy.ndimage import distance_transform_edt
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
 
-import canvases
-import sand
+import canvases  # pyright: ignore[reportMissingImports]
+import sand  # pyright: ignore[reportMissingImports]
 
 from godfit import fit
 from godfit.distance import jump_flood

@@ -169,9 +169,10 @@ def _fit(
     model: AbstractModel
     picture = None
     if kind == Flatland.name:
-        assert drawn[0] is not None
+        canvas, rays = drawn
+        assert canvas is not None
         say("rays")
-        model, picture, images["canvas"] = plane.prepared(images["target"], *drawn, valid)
+        model, picture, images["canvas"] = plane.prepared(images["target"], canvas, rays, valid)
     elif daylight:
         model, assumed = inputs.daylight(scene, *geometry, settings.get("samples"))
         notes += assumed

@@ -354,6 +354,38 @@ def _pulled(free, cells, directions, sky, turn, numbers, whole, pull, out):
 
 
 @_compiled
+def _reach(flat, size, x, y, t, limit, ways, steps, little, place, edge, value):
+    """As ``_leap``, every lane from its own place and no farther than ``limit``."""
+    real = x.dtype.type
+    width, high, wide = np.int32(size[0]), real(size[1]), real(size[2])
+    dx, dy, across, down, right, below = ways[0], ways[1], ways[2], ways[3], ways[4], ways[5]
+    zero, one = np.int32(0), np.int32(1)
+    for _ in range(steps):
+        for p in range(LANES):
+            u, v = x[p] + t[p] * dx[p], y[p] + t[p] * dy[p]
+            u = u if u > 0 else real(0)
+            v = v if v > 0 else real(0)
+            u = u if u < wide else wide
+            v = v if v < high else high
+            column, row = np.int32(u), np.int32(v)
+            place[p] = row * width + column
+            a = (real(column) + right[p] - x[p]) * across[p]
+            b = (real(row) + below[p] - y[p]) * down[p]
+            edge[p] = (a if a < b else b) + little
+        for p in range(LANES):
+            value[p] = flat[np.uint32(place[p])]
+        moving = zero
+        for p in range(LANES):
+            there = t[p] + value[p]
+            there = there if there > edge[p] else edge[p]
+            goes = one if (value[p] >= 0) & (t[p] < limit[p]) else zero
+            t[p] = there if goes else t[p]
+            moving += goes
+        if moving == 0:
+            break
+
+
+@_compiled
 def _cascade(free, cells, directions, upper, numbers, whole, out):
     """One cascade with the one above it merged, (rows, columns, 4 rays): radiance and what passes
     of every ray of the probes of some rows; see ``godfit.flatland.cascades``.
@@ -364,69 +396,105 @@ def _cascade(free, cells, directions, upper, numbers, whole, out):
     becomes.
     """
     real = free.dtype.type
-    spacing, start, end, above, little = (
-        numbers[0], numbers[1], numbers[2], numbers[3], numbers[4],
-    )  # fmt: skip
+    spacing, start, end = numbers[0], numbers[1], numbers[2]
+    above, little = numbers[3], numbers[4]
     begin, up_rows, up_columns, branch = whole[0], whole[1], whole[2], whole[3]
+    width = free.shape[1]
+    flat = free.reshape(-1)
+    size = np.array([width, free.shape[0] - 1, width - 1])
     steps = np.int64(4 * (free.shape[0] + free.shape[1]))
     hits = np.empty(free.shape[0] * 2 + free.shape[1] * 2, np.int64)
     light, nothing = np.empty(4, free.dtype), np.zeros(3, free.dtype)
-    rays = directions.shape[0]
-    last = above == 0
-    half = real(0.5)
+    x, y = np.empty(LANES, free.dtype), np.empty(LANES, free.dtype)
+    t, limit = np.empty(LANES, free.dtype), np.empty(LANES, free.dtype)
+    ways = np.empty((6, LANES), free.dtype)
+    edges, value_at = np.empty(LANES, free.dtype), np.empty(LANES, free.dtype)
+    place, weights = np.empty(LANES, np.int32), np.empty(LANES, free.dtype)
+    own, seen = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
+    ray, column_of = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
+    rays, last = directions.shape[0], above == 0
+    corners = 1 if last else 4
+    half, one = real(0.5), real(1)
+    part = one / real(branch)
     for i in range(out.shape[0]):
-        y = (real(begin + i) + half) * spacing + 1
-        for j in range(out.shape[1]):
-            x = (real(j) + half) * spacing + 1
-            if last:
-                first_row, first_column, low, side = 0, 0, real(0), real(0)
-            else:
-                low = (y - 1) / above - half
-                side = (x - 1) / above - half
-                first_row, first_column = int(np.floor(low)), int(np.floor(side))
-                low, side = low - first_row, side - first_column
-            for r in range(rays):
+        out[i] = 0
+        from_y = (real(begin + i) + half) * spacing + one
+        first_row, low = 0, real(0)
+        if not last:
+            low = (from_y - one) / above - half
+            first_row = int(np.floor(low))
+            low -= real(first_row)
+        count = out.shape[1] * rays * corners
+        j, r, corner = 0, 0, 0
+        for group in range(0, count, LANES):
+            within = min(LANES, count - group)
+            for p in range(LANES):
+                from_x = (real(j) + half) * spacing + one
                 dx, dy = directions[r, 0], directions[r, 1]
-                to = out[i, j, 4 * r : 4 * r + 4]
-                to[:] = 0
-                for corner in range(1 if last else 4):
-                    down, over = corner // 2, corner % 2
-                    weight = (low if down else 1 - low) * (side if over else 1 - side)
-                    if weight == 0:
-                        continue
-                    ahead_x, ahead_y = x + dx * end, y + dy * end
-                    row = min(max(first_row + down, 0), up_rows - 1)
+                # To where the ray of the upper probe starts, not to where this one's ends, so that
+                # no light is lost or counted twice between the two.
+                way_x, way_y = dx * (end - start), dy * (end - start)
+                weights[p], seen[p] = one, 0
+                if not last:
+                    side = (from_x - one) / above - half
+                    first_column = int(np.floor(side))
+                    side -= real(first_column)
+                    lower, over = corner // 2, corner % 2
+                    row = min(max(first_row + lower, 0), up_rows - 1)
                     column = min(max(first_column + over, 0), up_columns - 1)
-                    if not last:
-                        # To where that probe's own interval starts, not to where this one's ends:
-                        # so no light is lost or counted twice between the two.
-                        ahead_x = (real(column) + half) * above + 1 + dx * end
-                        ahead_y = (real(row) + half) * above + 1 + dy * end
-                    from_x, from_y = x + dx * start, y + dy * start
-                    way_x, way_y = ahead_x - from_x, ahead_y - from_y
-                    far = np.sqrt(way_x * way_x + way_y * way_y)
-                    light[:] = 0
-                    light[3] = 1
-                    if far > 0:
-                        own = np.int64(-1)
-                        if start == 0:
-                            own = np.int64(from_y) * free.shape[1] + np.int64(from_x)
-                        found, _ = _walk(
-                            free, cells, from_x, from_y, way_x / far, way_y / far, real(0), own,
-                            far, real(0), little, steps, 1, hits,
-                        )  # fmt: skip
-                        _blend(cells, hits, found, SPENT, nothing, light)
-                    if not last:
-                        seen = upper[row * up_columns + column]
-                        for b in range(branch):
-                            at = 4 * (r * branch + b)
-                            for c in range(3):
-                                to[c] += weight * light[3] * seen[at + c] / branch
-                            to[3] += weight * light[3] * seen[at + 3] / branch
-                    else:
-                        to[3] += weight * light[3]
+                    weights[p] = (low if lower else one - low) * (side if over else one - side)
+                    seen[p] = row * up_columns + column
+                    way_x += (real(column) + half) * above + one - from_x
+                    way_y += (real(row) + half) * above + one - from_y
+                x[p], y[p] = from_x + dx * start, from_y + dy * start
+                ways[0, p], ways[1, p] = way_x, way_y
+                own[p] = np.int64(y[p]) * width + np.int64(x[p]) if start == 0 else -1
+                ray[p], column_of[p], t[p] = r, j, real(0)
+                # The next one; after the last, the last again, which no one reads.
+                if group + p + 1 < count:
+                    corner += 1
+                    if corner == corners:
+                        corner, r = 0, r + 1
+                        if r == rays:
+                            r, j = 0, j + 1
+            for p in range(LANES):
+                way_x, way_y = ways[0, p], ways[1, p]
+                far = np.sqrt(way_x * way_x + way_y * way_y)
+                limit[p] = far
+                far = far if far > little else little
+                dx, dy = way_x / far, way_y / far
+                ways[0, p], ways[1, p] = dx, dy
+                ways[2, p] = one / dx if abs(dx) > 1e-9 else real(1e9)
+                ways[3, p] = one / dy if abs(dy) > 1e-9 else real(1e9)
+                ways[4, p] = one if dx > -1e-9 else real(0)
+                ways[5, p] = one if dy > -1e-9 else real(0)
+            _reach(flat, size, x, y, t, limit, ways, steps, little, place, edges, value_at)
+            for p in range(within):
+                to = out[i, column_of[p], 4 * ray[p] : 4 * ray[p] + 4]
+                weight, cell = weights[p], np.int64(place[p])
+                passing = weight
+                if t[p] < limit[p] and value_at[p] == FILLED:
+                    if cells[cell, 3] >= 1 and cell != own[p]:
+                        for c in range(3):
+                            to[c] += weight * cells[cell, c]
+                        continue
+                    found, _ = _walk(
+                        free, cells, x[p], y[p], ways[0, p], ways[1, p], t[p], own[p], limit[p],
+                        real(0), little, steps, 1, hits,
+                    )  # fmt: skip
+                    _blend(cells, hits, found, SPENT, nothing, light)
                     for c in range(3):
                         to[c] += weight * light[c]
+                    passing = weight * light[3]
+                if last:
+                    to[3] += passing
+                elif passing > 0:
+                    far_light = upper[seen[p]]
+                    passing *= part
+                    first = 4 * branch * ray[p]
+                    for n in range(branch):
+                        for c in range(4):
+                            to[c] += passing * far_light[first + 4 * n + c]
 
 
 @_compiled
