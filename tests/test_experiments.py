@@ -9,6 +9,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
+import flatland
 import peers
 import scaling
 
@@ -82,3 +83,18 @@ def test_exact_methods_are_told(monkeypatch):
     monkeypatch.setattr(scaling, "METHODS", ["reference", "close"])
     mask = (np.random.default_rng(3).random((16, 16)) > 0.5).astype(float)
     assert scaling.exact(mask) == ["reference"]
+
+
+def test_light_in_the_plane_is_measured():
+    """More rays are nearer to the reference, and the figures are errors, not times."""
+    values = flatland.canvases.stroke(24, 24)
+    exact = flatland.reference(values, 256)
+    ways = {"few": {"rays": 8}, "many": {"rays": 128}}
+    found = flatland.measured(values, ways, 2, exact)
+    assert 0 < found["many"][1] < 0.5 * found["few"][1] < 0.2
+    assert all(seconds > 0 for seconds, _ in found.values())
+
+
+def test_canvases_of_the_flood_are_square_and_not():
+    sizes = {flatland.shapes(seed)[1].shape for seed in range(10)}
+    assert sizes == {(200, 200), (150, 260), (280, 120)}

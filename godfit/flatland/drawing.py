@@ -3,6 +3,9 @@
 Places and lengths are in picture heights, x to the right and y up, (0, 0) the bottom-left corner;
 an edge is ``softness`` pixels wide. The distance to every shape is exact (after Quilez, "2D
 distance functions"), also inside, so an edge is as wide wherever it is.
+
+Pixels stick out: a ray that grazes a disc meets pixels that are covered in part, one after another,
+and what it sees is a disc whose radius is 0.6 pixels larger (0.4 where pixels are all or nothing).
 """
 
 from __future__ import annotations
