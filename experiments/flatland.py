@@ -37,7 +37,7 @@ from godfit import fit
 from godfit.distance import jump_flood
 from godfit.flatland import Canvas, Sky, accumulated, canvas, effective_frames, render, weights
 from godfit.flatland import rays as walks
-from godfit.flatland.compiled import FILLED, OUTSIDE
+from godfit.flatland.compiled_walk import FILLED, OUTSIDE
 
 REFERENCE_RAYS = 1024
 RAYS = (8, 16, 32, 64, 128, 256)
@@ -63,7 +63,7 @@ def scenes(size: int) -> dict[str, np.ndarray]:
 
 def reference(values: np.ndarray, rays: int = REFERENCE_RAYS) -> np.ndarray:
     with jax.enable_x64(True):
-        return np.asarray(jax.jit(lambda: render(drawn(values), Sky(*SKY), rays=rays))())
+        return np.asarray(jax.jit(functools.partial(render, rays=rays))(drawn(values), Sky(*SKY)))
 
 
 def rms(found, exact) -> float:
@@ -89,7 +89,7 @@ def ways(size: int) -> dict[str, dict]:
     found = {f"distance, {r} rays": {"rays": r} for r in RAYS}
     diagonal = math.hypot(size, size)
     for r in (8, 32):
-        for pixels in (4.0, 1.0, 0.5):
+        for pixels in (4.0, 1.0):
             steps = round(diagonal / pixels)
             options = {"rays": r, "method": "march", "steps": steps}
             found[f"march, {r} rays, steps of {pixels:g}"] = options

@@ -171,18 +171,18 @@ def only_one(options: dict[str, Any], given: Mapping[str, Any]) -> None:
     """Of a canvas and a mask or scene, keep what was given here, or what the model asks for."""
     if "canvas" not in options:
         return
-    if given["canvas"] is not None and (given["mask"] or given["scene"]):
+    instead = given["mask"] is not None or given["scene"] is not None
+    if given["canvas"] is not None and instead:
         raise click.UsageError("expected --mask, --scene or --canvas, got two; give one")
-    plane = given["canvas"] is not None or options.get("model") == "flatland"
+    alone = "mask" not in options and "scene" not in options
+    if instead and given["model"] is None:
+        options.pop("model", None)
+    plane = given["canvas"] is not None or alone or options.get("model") == "flatland"
     away = ("mask", "scene", "samples", "shader", "lights") if plane else ("canvas", "rays")
-    if given["mask"] or given["scene"]:
-        away = ("canvas", "rays")
-        if given["model"] is None:
-            options.pop("model", None)
     for name in away:
         if given.get(name) is None:
             options.pop(name, None)
-    if given["canvas"] is not None and given["model"] is None:
+    if plane and given["model"] is None:
         options["model"] = "flatland"
 
 

@@ -24,7 +24,10 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 COMPILED = (
     "godfit.visibility",
     "godfit.shadows",
+    "godfit.flatland.compiled_walk",
     "godfit.flatland.compiled",
+    "godfit.flatland.compiled_derivatives",
+    "godfit.flatland.compiled_cascades",
     "godfit.radial.compiled",
     "godfit.radial.foreign",
 )

@@ -176,7 +176,7 @@ def test_nonsense_is_refused(files, options, message):
         fit(files / "t.png", **options)
 
 
-@pytest.mark.parametrize("name", ["plane_stroke", "plane_window", "plane_sand_2"])
+@pytest.mark.parametrize("name", ["plane_window", "plane_sand_2"])
 def test_targets_through_the_command_line(name, tmp_path, capsys):
     arguments = ["fit", str(FOLDER / f"{name}.png"), "-o", str(tmp_path / "o"), "--json", "-q"]
     assert main(arguments) == 0
@@ -299,6 +299,13 @@ class TestFitCommand:
         assert main(["fit", str(files / "t.png"), "--mask", str(files / "t.png"), "-q",
                      "--shader", "mitchell", "--samples", "10", "--json"]) in (0, 3)  # fmt: skip
         assert json.loads(capsys.readouterr().out)["model"] == "mitchell"
+
+    def test_the_canvas_beside_the_target(self, files, capsys):
+        (files / "t.toml").write_text(f'canvas = "c.png"\n[scattering]\nrays = {RAYS}\n')
+        assert main(["fit", str(files / "t.png"), "-q", "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert found["model"] == "flatland"
+        assert found["rays"] == RAYS
 
     def test_wrong_model(self, files, capsys):
         assert NO_CANVAS in says(

@@ -25,9 +25,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int32
 
 from godfit.distance import jump_flood
+from godfit.flatland import compiled, compiled_cascades, compiled_derivatives
 from godfit.flatland.canvas import Canvas
-from godfit.flatland.compiled import FILLED, OUTSIDE, target
+from godfit.flatland.compiled_walk import FILLED, OUTSIDE, registered
 
+FUNCTIONS = compiled.FUNCTIONS | compiled_derivatives.FUNCTIONS | compiled_cascades.FUNCTIONS
 # Calls for one picture, which XLA shares out among its threads.
 CALLS = 16
 # A transpose has a result of the canvas's size for every call.
@@ -37,7 +39,7 @@ LITTLE = {jnp.dtype("float32"): 1e-3, jnp.dtype("float64"): 1e-9}
 
 
 class Prepared(NamedTuple):
-    """See ``godfit.flatland.compiled``."""
+    """See ``godfit.flatland.compiled_walk`` and ``compiled``."""
 
     free: Float[Array, "H W"]
     cells: Float[Array, "cells 4"]
@@ -147,7 +149,7 @@ def _numbers(given: Prepared, how) -> tuple[tuple, list[int]]:
 def call(kind: str, shape: tuple[int, ...], dtype, *arguments):
     """A compiled function's result."""
     made = jax.ffi.ffi_call(
-        target(kind, dtype == jnp.float64),
+        registered(FUNCTIONS, kind, dtype == jnp.float64),
         jax.ShapeDtypeStruct(shape, dtype),
         vmap_method="sequential",
     )

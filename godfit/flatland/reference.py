@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from godfit.flatland.compiled import OUTSIDE
+from godfit.flatland.compiled_walk import OUTSIDE
 from godfit.flatland.rays import LITTLE, Prepared
 
 
