@@ -324,6 +324,7 @@ def recovery(truths: int) -> None:
 def figure(found: dict[str, dict[str, tuple]], size: int, file: str) -> None:
     """Three canvases with their light, and error against time."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import NullFormatter
 
     shown = Figure(figsize=(13, 3.4), layout="constrained")
     axes = shown.subplots(1, 4, width_ratios=(1, 1, 1, 1.5))
@@ -342,6 +343,7 @@ def figure(found: dict[str, dict[str, tuple]], size: int, file: str) -> None:
             label = f"{way.split(',')[0]}" if name == "stroke" else None
             chart.loglog(times, errors, marker, ls="-", color=colour, label=label, ms=5, lw=0.8)
     chart.set_xlabel(f"ms, {size}x{size}")
+    chart.xaxis.set_minor_formatter(NullFormatter())
     chart.set_ylabel("error, % of the light's rms")
     chart.legend(
         fontsize=8, title="stroke blue, window orange\nmaze green, sand red", title_fontsize=7
