@@ -4,8 +4,8 @@ Cells are EMPTY, SOLID or a grain, whose number (from GRAIN on) is its colour an
 every step the plane is cut into blocks of two by two, each step at another offset (Margolus'
 neighbourhood; Toffoli & Margolus, Cellular Automata Machines, 1987, ch. 12), and grains move within
 their block, so that none can be lost, doubled or moved by two: down, and where that is taken,
-sideways down. All blocks move at once, in a few array operations. Which side goes first is drawn
-from the seed, block by block.
+sideways down. All blocks move at once, in a few array operations. Which grains slide now and which
+later is drawn from the seed, block by block.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from collections.abc import Iterator
 import numpy as np
 
 EMPTY, SOLID, GRAIN = 0, 1, 2
+# Share of the grains that slide at once where they can.
+LOOSE = 0.6
 # The four offsets of the blocks, in an order that falls straight and does not drift.
 OFFSETS = ((0, 0), (1, 1), (0, 1), (1, 0))
 
@@ -32,13 +34,12 @@ def step(cells: np.ndarray, number: int, rng: np.random.Generator) -> np.ndarray
     place = [[framed[i::2, j::2].copy() for j in (0, 1)] for i in (0, 1)]
     for j in (0, 1):
         _swap(place, (0, j), (1, j), (place[0][j] >= GRAIN) & (place[1][j] == EMPTY))
-    left_first = rng.random(place[0][0].shape) < 0.5
-    for first in (True, False):
-        for j in (0, 1):
-            # Down on its own side is taken now; the way leads through the cell beside it.
-            free = (place[0][1 - j] == EMPTY) & (place[1][1 - j] == EMPTY)
-            turn = left_first if (j == 0) == first else ~left_first
-            _swap(place, (0, j), (1, 1 - j), (place[0][j] >= GRAIN) & free & turn)
+    # Not every grain that could slide does so at once: heaps would be all alike.
+    loose = rng.random(place[0][0].shape) < LOOSE
+    for j in (0, 1):
+        # Down on its own side is taken now; the way leads through the cell beside it.
+        free = (place[0][1 - j] == EMPTY) & (place[1][1 - j] == EMPTY)
+        _swap(place, (0, j), (1, 1 - j), (place[0][j] >= GRAIN) & free & loose)
     for i in (0, 1):
         for j in (0, 1):
             framed[i::2, j::2] = place[i][j]
