@@ -91,22 +91,22 @@ def test_defect_distances_are_not_metric_where_the_canvas_is_not_square():
 def test_defect_epsilon_is_under_a_pixel_and_rays_starve_beside_a_wall():
     """Above a long black floor the lower half of the circle is dark. The published rays that run
     beside the floor use up their steps and see the sky instead."""
-    h, w = 30, 120
+    h, w = 60, 240
     assert w * as_published.EPSILON < 1
     opacity = np.zeros((h, w))
-    opacity[21:] = 1
+    opacity[42:] = 1
     made = canvas(np.zeros((h, w, 3)), opacity)
     sky = Sky(90.0, 60.0, DARK, (1.0, 1.0, 1.0))
 
     def near(steps):
-        picture = jax.jit(lambda: render(made, sky, rays=48, published=True, steps=steps))()
-        return np.asarray(picture)[20, 45:75, 0].mean()
+        picture = jax.jit(lambda: render(made, sky, rays=96, published=True, steps=steps))()
+        return np.asarray(picture)[41, 90:150, 0].mean()
 
     # Beside a seed the field says one pixel: a ray that falls by less than that in 32 steps.
     enough = near(300)
     assert near(8) > near(32) > enough
-    ours = np.asarray(render(made, sky, rays=256))[20, 45:75, 0].mean()
-    assert ours == pytest.approx(0.5 + math.atan(0.5 / 60) / math.pi, abs=0.01)
+    ours = np.asarray(render(made, sky, rays=256))[41, 90:150, 0].mean()
+    assert ours == pytest.approx(0.5 + math.atan(0.5 / 120) / math.pi, abs=0.01)
 
 
 def test_defect_accumulation_forgets():
