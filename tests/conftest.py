@@ -39,6 +39,13 @@ sys.modules |= compiled
 install_import_hook("godfit", "beartype.beartype")
 
 
+@pytest.fixture(scope="module", autouse=True)
+def forget():
+    """Compiled programs of one file are of no use to the next, and take gigabytes together."""
+    yield
+    jax.clear_caches()
+
+
 @pytest.fixture
 def single_precision():
     """float32, as the program runs: what the fit as a whole is made for."""
