@@ -245,7 +245,7 @@ def test_canvas_and_truth_give_the_target(made, name):
     target = _levels(FOLDER / truth["target"])
     apart = np.abs(np.floor(np.asarray(image).clip(0, 1) * 255 + 0.5) - target)
     assert apart.max() <= 1
-    # A ray that grazes the corner of a pixel falls either way, and tips a value that is near a half.
+    # A ray that grazes a pixel's corner falls either way, and tips a value that is near a half.
     assert np.mean(apart > 0) < 3e-3
     assert len(np.unique(target)) >= 60
     new, old = (read_layer(folder / truth["canvas"])[1] for folder in (made, FOLDER))
