@@ -243,10 +243,9 @@ def test_canvas_and_truth_give_the_target(made, name):
     image = render(read_canvas(FOLDER / truth["canvas"]), around, rays=truth["rays"],
                    exposure=params["exposure"])  # fmt: skip
     target = _levels(FOLDER / truth["target"])
-    apart = np.abs(np.floor(np.asarray(image).clip(0, 1) * 255 + 0.5) - target)
-    assert apart.max() <= 1
-    # A ray that grazes a pixel's corner falls either way, and tips a value that is near a half.
-    assert np.mean(apart > 0) < 3e-3
+    # Sums of bytes over 128 rays often lie on a half itself, which rounds either way: no byte is
+    # farther from its value than a half.
+    assert np.abs(np.asarray(image).clip(0, 1) * 255 - target).max() < 0.5 + 1e-4
     assert len(np.unique(target)) >= 60
     new, old = (read_layer(folder / truth["canvas"])[1] for folder in (made, FOLDER))
     np.testing.assert_array_equal(new, old)
