@@ -11,7 +11,6 @@ import dataclasses
 import difflib
 import os
 import re
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -26,9 +25,9 @@ from godfit.errors import InputError
 from godfit.image import TRANSFERS
 from godfit.parameters import SCATTERING as PARAMETERS
 from godfit.sidecar import SCATTERING
+from godfit.table import Colour, Table
 from godfit.taps import convention
 
-Colour = tuple[float, float, float]
 # Numbers of the scene that a fit can free.
 CAMERA, LIGHT = ("position", "target", "up", "fov_y"), ("position", "radius")
 OBJECT = ("position", "rotation", "scale")
@@ -152,17 +151,12 @@ def _turn(angle: Float[Array, ""], i: int, j: int) -> Float[Array, "3 3"]:
 def read_scene(path: str | os.PathLike[str]) -> Scene:
     """Read a scene file; raises InputError naming the file, the key, what was expected and got."""
     path = Path(path)
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"'{path}': expected a scene file, got no such file") from None
-    except (OSError, ValueError) as error:  # ValueError: not UTF-8, not TOML, or a null in the path
-        raise InputError(f"'{path}': expected TOML, got {error}; mend the file") from error
-    root = _Table(path, "", data)
+    root = Table.read(path, "a scene file")
     image, camera, light = (root.table(key) for key in ("image", "camera", "light"))
     background, scattering = root.table("background", {}), root.table("scattering", {})
-    parts = [_object(_Table(path, f"object[{i}]", t)) for i, t in enumerate(root.tables("object"))]
+    parts = [_object(Table(path, f"object[{i}]", t)) for i, t in enumerate(root.tables("object"))]
     root.finish()
+    scattering.may_have(*SETTINGS)
     scene = Scene(
         Camera(
             _array(camera.three("position")),
@@ -181,7 +175,7 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
         background.colour("colour", "#000000"),
         (image.whole("height", 1, MAX_SIZE), image.whole("width", 1, MAX_SIZE)),
         image.switch("antialias"),
-        tuple((key, scattering.setting(key)) for key in list(scattering.data)),
+        tuple((key, _setting(scattering, key)) for key in list(scattering.data)),
         tuple(note for _, notes in parts for note in notes),
     )
     for table in (image, camera, light, background, scattering):
@@ -191,7 +185,7 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
     return dataclasses.replace(scene, notes=scene.notes + notes)
 
 
-def _object(table: _Table) -> tuple[Object, tuple[str, ...]]:
+def _object(table: Table) -> tuple[Object, tuple[str, ...]]:
     """One [[object]] and what is to be said of its mesh."""
     file, kind = table.text("mesh"), table.text("primitive")
     if (file is None) == (kind is None):
@@ -222,6 +216,28 @@ def _object(table: _Table) -> tuple[Object, tuple[str, ...]]:
     )
     table.finish()
     return thing, shape.notes
+
+
+def _setting(table: Table, key: str) -> Any:
+    """A key of [scattering]."""
+    if key not in SETTINGS:
+        return None
+    value = table.get(key, None, "a value")
+    kinds = SETTINGS[key] if isinstance(SETTINGS[key], tuple) else (SETTINGS[key],)
+    if not isinstance(value, kinds) or isinstance(value, bool):
+        names = " or ".join(kind.__name__ for kind in kinds)
+        raise table.error(key, names, repr(value))
+    expected = LIMITS.get(key)
+    if expected and not expected[0] <= value <= expected[1]:
+        raise table.error(key, f"from {expected[0]:g} to {expected[1]:g}", repr(value))
+    if key == "transfer" and value not in TRANSFERS:
+        raise table.error(key, " or ".join(map(repr, TRANSFERS)), repr(value))
+    if key == "shader":
+        try:
+            convention(value)
+        except InputError as error:
+            raise InputError(f"'{table.path}': scattering.{error}") from None
+    return value
 
 
 def _array(value: Any) -> Array:
@@ -275,136 +291,3 @@ def _around_camera(scene: Scene) -> list[int]:
             shape = mesh.Mesh(world, np.asarray(thing.faces))
             found += [i] if mesh.contains(shape, position) else []
     return found
-
-
-class _Table:
-    """A table of the file; every key is asked for once, and what is left over is an error."""
-
-    def __init__(self, path: Path, name: str, data: Any) -> None:
-        self.path, self.name = path, name
-        self.asked: list[str] = []
-        if not isinstance(data, dict):
-            raise InputError(f"'{path}': {name}: expected a table, got {data!r}")
-        self.data = data
-
-    def error(self, key: str, expected: str, got: str) -> InputError:
-        where = f"{self.name}.{key}" if self.name else key
-        return InputError(f"'{self.path}': {where}: expected {expected}, got {got}")
-
-    def get(self, key: str, default: Any, expected: str) -> Any:
-        self.asked.append(key)
-        value = self.data.get(key, default)
-        if value is None:
-            raise self.error(key, expected, "nothing; add it")
-        return value
-
-    def table(self, key: str, default: Any = None) -> _Table:
-        return _Table(self.path, key, self.get(key, default, f"a table [{key}]"))
-
-    def tables(self, key: str) -> list[Any]:
-        value = self.get(key, [], "tables")
-        if not isinstance(value, list):
-            raise self.error(key, f"tables [[{key}]]", f"one table; write [[{key}]]")
-        return value
-
-    def text(self, key: str) -> str | None:
-        self.asked.append(key)
-        value = self.data.get(key)
-        if value is not None and not isinstance(value, str):
-            raise self.error(key, "text", repr(value))
-        return value
-
-    def switch(self, key: str) -> bool | None:
-        self.asked.append(key)
-        value = self.data.get(key)
-        if value is not None and not isinstance(value, bool):
-            raise self.error(key, "true or false", repr(value))
-        return value
-
-    def number(
-        self,
-        key: str,
-        default: float | None = None,
-        above: float = -np.inf,
-        below: float = np.inf,
-    ) -> float:
-        expected = "a finite number"
-        if above > -np.inf:
-            expected += f" above {above:g}"
-        if below < np.inf:
-            expected += f" and below {below:g}"
-        value = self.get(key, default, expected)
-        if not _is_number(value) or not above < value < below:
-            raise self.error(key, expected, repr(value))
-        return float(value)
-
-    def whole(self, key: str, least: int, most: int, default: int | None = None) -> int:
-        expected = f"a whole number from {least} to {most}"
-        value = self.get(key, default, expected)
-        if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
-            raise self.error(key, expected, repr(value))
-        return value
-
-    def three(
-        self, key: str, default: list[float] | None = None, above: float = -np.inf
-    ) -> list[float]:
-        expected = "three finite numbers" + (f" above {above:g}" if above > -np.inf else "")
-        value = self.get(key, default, expected)
-        if (
-            not isinstance(value, list)
-            or len(value) != 3
-            or not all(_is_number(v) and v > above for v in value)
-        ):
-            raise self.error(key, expected, repr(value))
-        return [float(v) for v in value]
-
-    def colour(self, key: str, default: str) -> Colour:
-        expected = '"#rrggbb" or three numbers from 0 to 1'
-        value = self.get(key, default, expected)
-        if isinstance(value, str) and re.fullmatch(r"#([0-9a-fA-F]{3}){1,2}", value):
-            digits = value[1:] if len(value) == 7 else "".join(2 * c for c in value[1:])
-            r, g, b = (int(digits[i : i + 2], 16) / 255 for i in (0, 2, 4))
-            return r, g, b
-        if (
-            isinstance(value, list)
-            and len(value) == 3
-            and all(_is_number(v) and 0 <= v <= 1 for v in value)
-        ):
-            return float(value[0]), float(value[1]), float(value[2])
-        raise self.error(key, expected, repr(value))
-
-    def setting(self, key: str) -> Any:
-        """A key of [scattering]."""
-        if key not in SETTINGS:
-            return None
-        value = self.get(key, None, "a value")
-        kinds = SETTINGS[key] if isinstance(SETTINGS[key], tuple) else (SETTINGS[key],)
-        if not isinstance(value, kinds) or isinstance(value, bool):
-            names = " or ".join(kind.__name__ for kind in kinds)
-            raise self.error(key, names, repr(value))
-        expected = LIMITS.get(key)
-        if expected and not expected[0] <= value <= expected[1]:
-            raise self.error(key, f"from {expected[0]:g} to {expected[1]:g}", repr(value))
-        if key == "transfer" and value not in TRANSFERS:
-            raise self.error(key, " or ".join(map(repr, TRANSFERS)), repr(value))
-        if key == "shader":
-            try:
-                convention(value)
-            except InputError as error:
-                raise InputError(f"'{self.path}': scattering.{error}") from None
-        return value
-
-    def finish(self) -> None:
-        """Raise for keys that nobody asked for."""
-        for key in self.data:
-            if key not in self.asked:
-                known = list(SETTINGS) if self.name == "scattering" else self.asked
-                near = difflib.get_close_matches(key, known, n=1, cutoff=0.0)
-                raise self.error(
-                    key, f"one of {', '.join(known)}", f"this key; did you mean '{near[0]}'?"
-                )
-
-
-def _is_number(value: Any) -> bool:
-    # Finite in float32 as well; whole numbers in TOML may be of any length.
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e18

@@ -11,7 +11,6 @@ and what it sees is a disc whose radius is 0.6 pixels larger (0.4 where pixels a
 from __future__ import annotations
 
 import os
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from godfit.errors import InputError
 from godfit.flatland.canvas import Canvas
-from godfit.scene import MAX_SIZE, _Table
+from godfit.scene import MAX_SIZE
+from godfit.table import Table
 
 # Of every kind: its numbers and how many there are of each.
 KINDS: dict[str, dict[str, int]] = {
@@ -136,27 +135,21 @@ def read_drawing(path: str | os.PathLike[str]) -> Drawing:
     sun_width, sun and sky.
     """
     path = Path(path)
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"'{path}': expected a scene of shapes, got no such file") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"'{path}': expected TOML, got {error}; mend the file") from error
-    root = _Table(path, "", data)
+    root = Table.read(path, "a scene of shapes")
     image, sky = root.table("image"), root.table("sky", {})
-    shapes = [_shape(_Table(path, f"shape[{i}]", t)) for i, t in enumerate(root.tables("shape"))]
+    shapes = [_shape(Table(path, f"shape[{i}]", t)) for i, t in enumerate(root.tables("shape"))]
     root.finish()
     size = image.whole("height", 1, MAX_SIZE), image.whole("width", 1, MAX_SIZE)
     softness = image.number("softness", SOFTNESS, above=0.0)
     settings = [(k, sky.number(k)) for k in ("sun_angle", "sun_width") if k in sky.data]
     settings += [(k, tuple(_radiance(sky, k))) for k in ("sun", "sky") if k in sky.data]
-    sky.asked += ["sun_angle", "sun_width", "sun", "sky"]
+    sky.may_have("sun_angle", "sun_width", "sun", "sky")
     for table in (image, sky):
         table.finish()
     return Drawing(tuple(shapes), size, softness, tuple(settings))
 
 
-def _shape(table: _Table) -> Shape:
+def _shape(table: Table) -> Shape:
     kind = table.text("kind")
     if kind not in KINDS:
         got = "nothing; add it" if kind is None else repr(kind)
@@ -178,7 +171,7 @@ def _shape(table: _Table) -> Shape:
     return Shape(kind, radiance, opacity, **numbers)
 
 
-def _radiance(table: _Table, key: str) -> list[float]:
+def _radiance(table: Table, key: str) -> list[float]:
     value = table.get(key, "#000000", "a colour")
     if isinstance(value, str):
         return list(table.colour(key, "#000000"))
@@ -188,7 +181,7 @@ def _radiance(table: _Table, key: str) -> list[float]:
     return found
 
 
-def _numbers(table: _Table, key: str, shape: tuple, above: float = -np.inf) -> list:
+def _numbers(table: Table, key: str, shape: tuple, above: float = -np.inf) -> list:
     expected = "two numbers" if shape == (2,) else "three numbers"
     if shape == (None, 2):
         expected = "three or more places [x, y]"
