@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from godfit import mesh, raster, visibility
+from godfit import mesh, projection, raster, visibility
 from godfit.scene import Camera, Light, Object, Scene
 
 FOV, DISTANCE = 50.0, 5.0
@@ -101,12 +101,12 @@ def supersampled(scene: Scene, factor: int = 32) -> np.ndarray:
     band = max(1, 2**22 // (width * factor**2))
     for first in range(0, height, band):
         rows = min(band, height - first)
-        lens = visibility.Lens(
+        lens = projection.Lens(
             scale, scale, 0.5 * width * factor, (0.5 * height - first) * factor,
             scene.camera.near, scene.camera.far,
         )  # fmt: skip
         size = rows * factor, width * factor
-        triangles, _ = visibility.screen_triangles(
+        triangles, _ = projection.screen_triangles(
             vertices.astype(float), faces, face_label, lens, size
         )
         label, _ = visibility.label(triangles, lens, centre.astype(float), float(radius), size)

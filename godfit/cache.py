@@ -41,6 +41,12 @@ def keep_compiled() -> None:
     warnings.filterwarnings("ignore", message=".*persistent compilation cache.*")
 
 
+def _newest() -> int:
+    """When a file of the program was last changed (ns): numba looks at a function's own file alone,
+    and would keep using what it has taken in from others."""
+    return max(file.stat().st_mtime_ns for file in Path(__file__).parent.rglob("*.py"))
+
+
 @functools.cache
 def numba_keeps() -> bool:
     """Have numba keep what it compiles, beside JAX's; whether it may."""
@@ -52,5 +58,5 @@ def numba_keeps() -> bool:
     config: Any = numba.core.config
     # Someone who has told numba where to keep things is right.
     if not config.CACHE_DIR:
-        config.CACHE_DIR = str(folder / "numba")
+        config.CACHE_DIR = str(folder / f"numba-{_newest():x}")
     return True

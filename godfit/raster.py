@@ -1,10 +1,11 @@
 """Scene -> occlusion mask, anti-aliased exactly and differentiable at its contours.
 
 What is visible is piecewise constant and has no derivative: it comes from compiled code
-(``visibility.py``) behind a callback. All the derivative lies in the contours (Li, Aittala, Durand
-& Lehtinen, SIGGRAPH Asia 2018, section 4): as an edge's ends move on the screen, it sweeps over so
-much of a pixel, and the pixel goes from the colour on one side to that on the other. The ends are
-functions of the scene in JAX, so that forward and reverse mode reach objects, camera and light.
+(``visibility.py``, ``contours.py``) behind a callback. All the derivative lies in the contours (Li,
+Aittala, Durand & Lehtinen, SIGGRAPH Asia 2018, section 4): as an edge's ends move on the screen, it
+sweeps over so much of a pixel, and the pixel goes from the colour on one side to that on the other.
+The ends are functions of the scene in JAX, so that forward and reverse mode reach objects, camera
+and light. A line in which two surfaces pass through each other moves as their depths do.
 
 The light is a sphere. Its outline is the circle in which the cone of tangents from the camera
 touches it, drawn as a polygon of equal area with OUTLINE corners; inside and depth are exact.
@@ -28,6 +29,8 @@ OUTLINE = 512
 # Fragments of contour (one edge in one pixel) that a picture has room for, beside a quarter of its
 # pixels. A skull of 31,016 triangles at 512x512 has 8,000.
 FRAGMENTS = 1 << 16
+# The same for pieces of lines of intersection, some ten in a pixel, beside an eighth of its pixels.
+CROSSINGS = 1 << 15
 
 # The callbacks share the machine's cores already: two at once would only be in each other's way.
 _one_at_a_time = threading.Lock()
@@ -55,9 +58,8 @@ def rasterise(scene: Scene, *, antialias: bool = True) -> Float[Array, "h w"] | 
     the positions, rotations and scales of the objects, the camera and the light. Without, it has
     the colour of its centre, as WebGL draws it, and the derivative is zero.
 
-    Surfaces of different colours that pass through each other are anti-aliased; the line where
-    they do so has no derivative. Raises InputError for a light that is not before the camera, and
-    where the contours have more fragments than ``FRAGMENTS`` leaves room for.
+    Raises InputError for a light that is not before the camera, and where the contours have more
+    fragments than ``FRAGMENTS`` and ``CROSSINGS`` leave room for.
     """
     colours = np.array(palette(scene))
     grey = (colours == colours[:, :1]).all()
@@ -90,7 +92,7 @@ def coverage(scene: Scene) -> Float[Array, "h w colours"]:
     height, width = scene.size
     colours = palette(scene)
     colour_of = tuple(colours.index(c) for c in _colours(scene))
-    room = FRAGMENTS + height * width // 4
+    room, crossings = _room(scene.size)
     dtype = scene.light.position.dtype
     view = _view(scene)
     shape = (
@@ -99,8 +101,13 @@ def coverage(scene: Scene) -> Float[Array, "h w colours"]:
         jax.ShapeDtypeStruct((room,), jnp.int32),
         jax.ShapeDtypeStruct((room, 4), jnp.int32),
         jax.ShapeDtypeStruct((room, len(colours), 4), dtype),
+        jax.ShapeDtypeStruct((), jnp.int32),
+        jax.ShapeDtypeStruct((crossings,), jnp.int32),
+        jax.ShapeDtypeStruct((crossings, 2), jnp.int32),
+        jax.ShapeDtypeStruct((crossings, 2), dtype),
+        jax.ShapeDtypeStruct((crossings, len(colours)), dtype),
     )
-    share, count, *fragments = jax.pure_callback(
+    share, count, pixel, made_of, weight, crossed, *lines = jax.pure_callback(
         functools.partial(_contours, scene.size, scene.camera.near, scene.camera.far, colour_of),
         shape,
         *jax.lax.stop_gradient(view),
@@ -110,16 +117,23 @@ def coverage(scene: Scene) -> Float[Array, "h w colours"]:
 
     def follow(size: int, share, view):
         """Zero is added, with the derivative of the first ``size`` fragments."""
-        pixel, made_of, weight = (z[:size] for z in fragments)
-        ends = [_screen(scene, view, made_of[:, k], made_of[:, k + 1]) for k in (0, 2)]
+        ends = [_screen(scene, view, made_of[:size, k], made_of[:size, k + 1]) for k in (0, 2)]
         ends = jnp.concatenate(ends, -1)
-        moved = jnp.einsum("fck,fk->fc", weight, ends - jax.lax.stop_gradient(ends))
-        return share.at[pixel].add(moved)
+        moved = jnp.einsum("fck,fk->fc", weight[:size], ends - jax.lax.stop_gradient(ends))
+        return share.at[pixel[:size]].add(moved)
+
+    def follow_lines(share, view):
+        at, faces, place, weight = lines
+        one, other = (_inverse_depth(scene, view, faces[:, k], place) for k in (0, 1))
+        ahead = one - other
+        return share.at[at].add(weight * (ahead - jax.lax.stop_gradient(ahead))[:, None])
 
     # Most pictures have few: three sizes of one program, so that these do not pay for all.
     sizes = (room // 32, room // 8, room)
     which = (count > sizes[0]).astype(jnp.int32) + (count > sizes[1])
     share = jax.lax.switch(which, [functools.partial(follow, n) for n in sizes], share, view)
+    if scene.objects:
+        share = jax.lax.cond(crossed > 0, follow_lines, lambda share, _: share, share, view)
     return share.reshape(height, width, len(colours))
 
 
@@ -202,7 +216,7 @@ def _outline(centre: Float[Array, "3"], radius: Float[Array, ""]) -> Float[Array
 
 
 def _screen(scene: Scene, view: _View, i: Int[Array, " f"], j: Int[Array, " f"]):
-    """(f, 2) x and y in pixels of the points made of vertices i and j; see ``visibility.Edges``."""
+    """(f, 2) x and y in pixels of the points made of vertices i and j; see ``projection.Edges``."""
     a, b = view.vertices[i], view.vertices[j]
     drop = b[:, 2] - a[:, 2]
     share = jnp.where(i == j, 0.0, (-scene.camera.near - a[:, 2]) / jnp.where(i == j, 1.0, drop))
@@ -214,8 +228,34 @@ def _screen(scene: Scene, view: _View, i: Int[Array, " f"], j: Int[Array, " f"])
     return jnp.stack([0.5 * width + scale * x, 0.5 * height - scale * y], -1)
 
 
+def _inverse_depth(scene: Scene, view: _View, face: Int[Array, " n"], place: Float[Array, "n 2"]):
+    """(n,) 1/depth under places on the screen, in pixels: of the planes of faces, or of the light's
+    sphere where the face is -1."""
+    height, width = scene.size
+    scale = 0.5 * height * view.focal
+    x, y = (place[:, 0] - 0.5 * width) / scale, (0.5 * height - place[:, 1]) / scale
+    ray = jnp.stack([x, y, -jnp.ones_like(x)], -1)
+    a, b, c = (view.vertices[view.faces[face, k]] for k in range(3))
+    normal = jnp.cross(b - a, c - a)
+    height_of = (normal * a).sum(-1)
+    of_plane = (normal * ray).sum(-1) / jnp.where(height_of == 0, 1.0, height_of)
+    along, length = ray @ view.centre, (ray * ray).sum(-1)
+    beyond = view.centre @ view.centre - view.radius**2
+    inside = along**2 - length * beyond
+    # At the outline itself the line is the outline, whose derivative is elsewhere.
+    depth = along - jnp.sqrt(jnp.where(inside > 0, inside, 1.0))
+    of_light = length / jnp.where(depth > 0, depth, 1.0)
+    return jnp.where(face < 0, jnp.where(inside > 0, of_light, 0.0), of_plane)
+
+
+def _room(size: tuple[int, int]) -> tuple[int, int]:
+    """How many fragments, and how many lines of intersection, a picture has room for."""
+    pixels = size[0] * size[1]
+    return FRAGMENTS + pixels // 4, CROSSINGS + pixels // 8
+
+
 def _lens(size: tuple[int, int], near: float, far: float, focal: float):
-    from godfit.visibility import Lens
+    from godfit.projection import Lens
 
     height, width = size
     return Lens(
@@ -225,7 +265,7 @@ def _lens(size: tuple[int, int], near: float, far: float, focal: float):
 
 def _drawn(size, near, far, view):
     """Triangles, cuts, lens and labels of a view, in float64."""
-    from godfit import visibility
+    from godfit import projection, visibility
 
     vertices, faces, face_label, edges, centre, radius, focal = (np.asarray(z) for z in view)
     vertices, centre = vertices.astype(np.float64), centre.astype(np.float64)
@@ -235,7 +275,7 @@ def _drawn(size, near, far, view):
             "mirrored; move the camera or the light"
         )
     lens = _lens(size, near, far, float(focal))
-    triangles, cuts = visibility.screen_triangles(vertices, faces, face_label, lens, size)
+    triangles, cuts = projection.screen_triangles(vertices, faces, face_label, lens, size)
     label, q = visibility.label(triangles, lens, centre, float(radius), size)
     return vertices, edges, centre, float(radius), lens, triangles, cuts, label, q
 
@@ -249,7 +289,8 @@ def _visible(size, near, far, *view):
 
 
 def _contours(size, near, far, colour_of, *view):
-    from godfit import visibility
+    from godfit import contours, projection
+    from godfit.crossing import may_cross
 
     with _one_at_a_time:
         vertices, edges, centre, radius, lens, triangles, cuts, label, _ = _drawn(
@@ -257,9 +298,9 @@ def _contours(size, near, far, colour_of, *view):
         )
         faces, face_label = np.asarray(view[1]), np.asarray(view[2])
         outline = len(vertices) - OUTLINE
-        candidates = visibility.screen_edges(vertices, edges, outline, cuts, lens, size)
+        candidates = projection.screen_edges(vertices, edges, outline, cuts, lens, size)
         colours = np.array(colour_of)
-        found = visibility.contours(
+        found = contours.contours(
             triangles,
             candidates,
             label,
@@ -268,17 +309,33 @@ def _contours(size, near, far, colour_of, *view):
             lens,
             centre,
             radius,
-            visibility.may_cross(vertices, faces, face_label, colours, centre, radius),
+            may_cross(vertices, faces, face_label, colours, centre, radius),
         )
-    count, room = len(found.pixel), FRAGMENTS + size[0] * size[1] // 4
+    dtype, crossed = np.asarray(view[0]).dtype, found.crossed
+    return (
+        found.share.astype(dtype),
+        *_filled(size, 0, found.pixel, candidates.made_of[found.edge], found.weight.astype(dtype)),
+        *_filled(size, 1, crossed.pixel, crossed.faces, crossed.place.astype(dtype),
+                 _given(crossed.weight, crossed.colours, max(colour_of) + 1).astype(dtype)),
+    )  # fmt: skip
+
+
+def _given(weight: np.ndarray, colours: np.ndarray, count: int) -> np.ndarray:
+    """(n, count) what the first of two colours gains and the second loses."""
+    of_colour = np.eye(count)
+    return weight[:, None] * (of_colour[colours[:, 0]] - of_colour[colours[:, 1]])
+
+
+def _filled(size: tuple[int, int], kind: int, *arrays: np.ndarray):
+    """How many there are, and the arrays with zeros behind, as long as there is room for."""
+    count, room = len(arrays[0]), _room(size)[kind]
     if count > room:
         raise InputError(
             f"scene: expected at most {room:,} pieces of contour in {size[1]}x{size[0]} pixels, "
             f"got {count:,}; simplify the mesh or enlarge the image"
         )
-    dtype = np.asarray(view[0]).dtype
-    pixel, made_of = np.zeros(room, np.int32), np.zeros((room, 4), np.int32)
-    weight = np.zeros((room, max(colour_of) + 1, 4), dtype)
-    pixel[:count], made_of[:count] = found.pixel, candidates.made_of[found.edge]
-    weight[:count] = found.weight
-    return found.share.astype(dtype), np.int32(count), pixel, made_of, weight
+    whole = [np.zeros((room, *z.shape[1:]), z.dtype) for z in arrays]
+    for empty, z in zip(whole, arrays, strict=True):
+        empty[:count] = z
+    kinds = [z if z.dtype.kind == "f" else z.astype(np.int32) for z in whole]
+    return np.int32(count), *kinds

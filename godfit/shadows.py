@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numba import njit
 
-from godfit import visibility
+from godfit import projection, visibility
 from godfit.cache import numba_keeps
 from godfit.scene import Scene
 
@@ -67,13 +67,13 @@ def shadows(scene: Scene, source: Source, resolution: int) -> Shadows:
         focal = half
         reach = np.linalg.norm(vertices - position, axis=1).max(initial=1.0)
         near = 1e-6 * float(reach)
-    lens = visibility.Lens(focal, focal, half, half, near, far)
+    lens = projection.Lens(focal, focal, half, half, near, far)
     labels = np.full(len(faces), visibility.FIRST_OBJECT, np.int32)
     q = np.zeros((len(axes), resolution, resolution))
     size = (resolution, resolution)
     for i, view in enumerate(axes):
         camera = (vertices - position) @ view.T
-        triangles, _ = visibility.screen_triangles(camera, faces, labels, lens, size)
+        triangles, _ = projection.screen_triangles(camera, faces, labels, lens, size)
         # No light is drawn: it is where the view is from.
         q[i] = visibility.label(triangles, lens, np.array([0.0, 0.0, 1.0]), 0.0, size)[1]
     return Shadows(position, axes, q, focal)

@@ -22,7 +22,10 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 
 # What numba compiles cannot be wrapped: it is loaded first, and all else once more.
 COMPILED = (
+    "godfit.projection",
     "godfit.visibility",
+    "godfit.contours",
+    "godfit.crossing",
     "godfit.shadows",
     "godfit.flatland.compiled_walk",
     "godfit.flatland.compiled",

@@ -52,7 +52,7 @@ def test_two_processes_may_start_at_once(tmp_path):
     both = [summing(**cache), summing(**cache)]
     first, second = (outcome(process) for process in both)
     assert first == second == outcome(summing(**cache))
-    assert any((tmp_path / "numba").rglob("*.nbi"))
+    assert any(tmp_path.glob("numba-*/**/*.nbi"))
     assert any(tmp_path.glob("jit_*"))
 
 

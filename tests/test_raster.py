@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import raster_oracle as oracle
 
-from godfit import mesh, raster, visibility
+from godfit import contours, mesh, projection, raster, visibility
 from godfit.scene import Camera, Light, Object, Scene
 
 SHARED = Path(__file__).parents[2] / "shared"
@@ -105,7 +105,7 @@ SCENES = {
     "objects beyond far": stage(thing("box", (0, 0, -60), sizes=BOX), light=(0.0, 3.0, -70.0)),
     "no objects": stage(),
 }  # fmt: skip
-# Those whose contours are edges: where two colours pass through each other there is no derivative.
+# Those whose contours are edges, and exact.
 SMOOTH = [
     "box",
     "torus that touches a box",
@@ -207,6 +207,24 @@ def test_gradient_is_that_of_the_exact_loss(name):
         expected = differences(exact_loss, scene, key, step)
         largest = np.abs(expected).max()
         np.testing.assert_allclose(found.value(key), expected, rtol=0, atol=1e-4 * largest + 1e-6)
+
+
+@pytest.mark.parametrize(
+    "name, keys",
+    [
+        (CROSSED[0], ("camera.position", "camera.fov_y", "object[0].position", "object[0].scale")),
+        (CROSSED[1], ("light.position", "light.radius", "camera.position", "object[0].position")),
+    ],
+)
+def test_gradient_where_surfaces_pass_through_each_other(name, keys):
+    """Lines of intersection are found by scan lines: a few of them, between others, are missed."""
+    scene = dataclasses.replace(SCENES[name], size=(96, 128))
+    found = gradient(scene)
+    assert finite(found)
+    for key in keys:
+        expected = differences(exact_loss, scene, key, 0.3 if key.endswith("fov_y") else 0.03)
+        largest = np.abs(expected).max()
+        np.testing.assert_allclose(found.value(key), expected, rtol=0, atol=0.06 * largest)
 
 
 def test_gradient_is_that_of_the_supersampled_loss():
@@ -372,8 +390,8 @@ def test_whole_outline_of_the_light_counts(crossing):
         corners, edges, centre, radius, lens, triangles, cuts, label, _ = raster._drawn(
             (240, 320), 0.1, 50.0, tuple(view)
         )
-        outline = visibility.screen_edges(corners, edges, 0, cuts, lens, (240, 320))
-        found = visibility.contours(
+        outline = projection.screen_edges(corners, edges, 0, cuts, lens, (240, 320))
+        found = contours.contours(
             triangles, outline, label, np.array([0, 1]), 2, lens, centre, radius, crossing
         )
         along = outline.ends[:, 2:] - outline.ends[:, :2]
@@ -397,10 +415,10 @@ def test_area_of_a_quadrilateral():
 
 
 class TestTopLeftRule:
-    LENS = visibility.Lens(4.0, 4.0, 4.0, 4.0, 0.1, 100.0)
+    LENS = projection.Lens(4.0, 4.0, 4.0, 4.0, 0.1, 100.0)
 
     def labels(self, vertices, faces, face_label):
-        triangles, _ = visibility.screen_triangles(
+        triangles, _ = projection.screen_triangles(
             np.array(vertices, float), np.array(faces, np.int32), np.array(face_label, np.int32),
             self.LENS, (8, 8),
         )  # fmt: skip

@@ -1,0 +1,9 @@
+"""How functions are compiled: kept between runs, and free of the interpreter's lock."""
+
+from __future__ import annotations
+
+from numba import njit
+
+from godfit.cache import numba_keeps
+
+compiled = njit(cache=numba_keeps(), nogil=True, error_model="numpy")
