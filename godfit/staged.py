@@ -114,7 +114,9 @@ class Staged(AbstractModel):
             jnp.concatenate([coordinates[:4], light]), jnp.concatenate([held[:4], nowhere])
         )
         offsets = jnp.where(
-            jnp.isnan(held[4:]), coordinates[4:], (held[4:] - self._base()) / self._units()
+            jnp.isnan(held[4:]),
+            self._across(jnp.asarray(coordinates[4:])),
+            (held[4:] - self._base()) / self._units(),
         )
         return eqx.tree_at(lambda m: (m.shading, m.offsets), self, (shading, offsets))
 
@@ -164,6 +166,17 @@ class Staged(AbstractModel):
         drawn = drawn + jax.lax.stop_gradient(jnp.round(255 * drawn) / 255 - drawn)
         lit = eqx.tree_at(lambda m: m.light, self.shading, on_screen(scene)[None])
         return lit(drawn, background, size=size, pixels=pixels, method=method)
+
+    def _across(self, offsets: Float[Array, " g"]) -> Float[Array, " g"]:
+        """A light's distance and radius trade exactly: where both are free it keeps the distance at
+        which it starts, or it would drift until it touches the objects."""
+        if not {"light.position", "light.radius"} <= set(self.free):
+            return offsets
+        first = sum(
+            self.scene.value(n).size for n in self.free[: self.free.index("light.position")]
+        )
+        away = jax.lax.stop_gradient(self.scene.camera_axes()[2]).astype(offsets.dtype)
+        return offsets.at[first : first + 3].add(-away * (away @ offsets[first : first + 3]))
 
     def _base(self) -> Float[Array, " g"]:
         return jax.lax.stop_gradient(

@@ -210,7 +210,7 @@ def test_gradient_is_that_of_the_exact_loss(name):
 
 
 @pytest.mark.parametrize(
-    "name, keys",
+    ("name", "keys"),
     [
         (CROSSED[0], ("camera.position", "camera.fov_y", "object[0].position", "object[0].scale")),
         (CROSSED[1], ("light.position", "light.radius", "camera.position", "object[0].position")),

@@ -1,0 +1,9 @@
+"""The commands of the command line, a file each.
+
+Nothing here imports JAX before a command runs, so that help and usage errors come at once.
+"""
+
+import time
+
+# Before all other imports, which the user waits for as well.
+STARTED = time.perf_counter()

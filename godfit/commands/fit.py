@@ -1,0 +1,103 @@
+"""``godfit fit``: the parameters of one picture."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import click
+
+from godfit.commands import STARTED
+from godfit.commands.options import PICTURE, RESULT, assignments
+from godfit.commands.study import (
+    NOT_CONVERGED,
+    command_line,
+    concluded,
+    made_ready,
+    opened,
+    working,
+    written,
+)
+
+
+@click.command()
+@click.argument("target")
+@PICTURE
+@click.option("--model", help="mitchell, hoffman-preetham or flatland. [default: mitchell]")
+@click.option("--free", multiple=True, metavar="NAME", help="Fit this of the scene as well.")
+@click.option("--lights", type=int, help="Number of lights. [default: 1]")
+@click.option("--fix", multiple=True, metavar="NAME[=VALUE]", help="Hold a parameter.")
+@click.option("--start", multiple=True, metavar="NAME=VALUE", help="Start a parameter here.")
+@RESULT
+def fit(
+    target: str,
+    free: tuple[str, ...],
+    fix: tuple[str, ...],
+    start: tuple[str, ...],
+    ignore: tuple[str, ...],
+    output: str | None,
+    as_json: bool,
+    seed: int,
+    quiet: bool,
+    verbose: bool,
+    **given: Any,
+) -> int:
+    """Fit exposure, decay, density, weight and the light's position to TARGET.
+
+    A TARGET x.png with an x.toml beside it takes its mask or scene, shader and samples from there;
+    options override it. The result goes to x.godfit/: fit.json, fit.png, render.png.
+
+    With --scene the mask is drawn from meshes. --free light.position (or light.radius,
+    camera.position, object[0].position, object[0].rotation, ...) fits that as well. With --canvas
+    the sun, the sky and the exposure of light in the plane are fitted.
+    """
+    fixed = assignments(fix, "--fix", optional=True)
+    started = assignments(start, "--start", optional=False)
+    study = opened(target, given, ignore, output, plane=True)
+    only_one(study.options, given)
+    if free and "scene" not in study.options:
+        raise click.UsageError(f"--free {free[0]}: expected --scene SCENE.toml with it, got a mask")
+    with working(quiet, verbose) as progress:
+        from godfit.fitting import fit as run
+        from godfit.report import as_json as record
+        from godfit.report import save
+
+        imported = time.perf_counter() - STARTED
+        made_ready(study.options, quiet, progress)
+        result = run(
+            study.image, free=free, fix=fixed, start=started, valid=study.valid, seed=seed,
+            progress=progress, **study.options,
+        )  # fmt: skip
+        result.timing_s["import"] = imported
+        result.timing_s["total"] = time.perf_counter() - STARTED
+        progress("drawing")
+        save(result, study.folder, command_line())
+    concluded(
+        [*result.notes, *result.undetermined],
+        record(result, command_line()),
+        result.summary(),
+        written(study.folder, "fit.json", "fit.png", "render.png"),
+        as_json=as_json,
+        quiet=quiet,
+    )
+    return 0 if result.converged else NOT_CONVERGED
+
+
+def only_one(options: dict[str, Any], given: Mapping[str, Any]) -> None:
+    """Of a canvas and a mask or scene, keep what was given here, or what the model asks for."""
+    if "canvas" not in options:
+        return
+    instead = given["mask"] is not None or given["scene"] is not None
+    if given["canvas"] is not None and instead:
+        raise click.UsageError("expected --mask, --scene or --canvas, got two; give one")
+    alone = "mask" not in options and "scene" not in options
+    if instead and given["model"] is None:
+        options.pop("model", None)
+    plane = given["canvas"] is not None or alone or options.get("model") == "flatland"
+    away = ("mask", "scene", "samples", "shader", "lights") if plane else ("canvas", "rays")
+    for name in away:
+        if given.get(name) is None:
+            options.pop(name, None)
+    if plane and given["model"] is None:
+        options["model"] = "flatland"

@@ -1,0 +1,137 @@
+"""Options that several commands share, and how their texts are read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from godfit.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+
+def together(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Several decorators as one, in the order in which the help shows them."""
+
+    def decorate(command: Any) -> Any:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return decorate
+
+
+SHADER = together(
+    click.option("--shader", help="Shader convention; see `godfit shaders`. [default: mitchell]"),
+    click.option("--samples", type=int, help="Samples a ray. [default: the shader's own]"),
+)
+# What a picture is made of.
+PICTURE = together(
+    click.option("--mask", help="Occlusion mask that the scattering pass reads."),
+    click.option("--scene", help="Scene file: mask, camera, distances and light."),
+    click.option("--canvas", help="What is drawn in the plane: RGBA, or a .toml of shapes."),
+    click.option("--background", help="Ordinary pass that the light was laid on."),
+    SHADER,
+    click.option("--rays", type=int, help="Of the light in the plane, a pixel. [default: 64]"),
+    click.option("--pass-scale", type=float, help="Size of the light pass against the mask's."),
+    click.option(
+        "--transfer", type=click.Choice(["none", "srgb"]), help="How the target was encoded."
+    ),
+    click.option("--fov", type=float, help="Vertical field of view in degrees, without a scene."),
+    click.option(
+        "--distance", type=float, help="How far what is seen lies; with a scene, the sky."
+    ),
+    click.option(
+        "--ignore", multiple=True, metavar="X,Y,W,H|IMAGE", help="Pixels to look away from."
+    ),
+)
+# What becomes of the result.
+RESULT = together(
+    click.option("-o", "--output", metavar="DIR", help="Result folder. [default: TARGET.godfit]"),
+    click.option(
+        "--json", "as_json", is_flag=True, help="Print JSON, and nothing else, to stdout."
+    ),
+    click.option("--seed", type=int, default=0, help="Seed of the choice of pixels."),
+    click.option("-q", "--quiet", is_flag=True, help="No progress, no warnings."),
+    click.option("-v", "--verbose", is_flag=True, help="A line for every stage."),
+)
+
+
+def assignments(values: tuple[str, ...], option: str, optional: bool) -> dict[str, Any]:
+    """``NAME=VALUE`` (or, if ``optional``, ``NAME``) -> a dictionary."""
+    found: dict[str, Any] = {}
+    for text in values:
+        name, sign, value = text.partition("=")
+        if not sign and optional:
+            found[name] = None
+            continue
+        try:
+            found[name] = float(value)
+        except ValueError:
+            raise click.BadParameter(
+                f"expected NAME=VALUE with a number, got '{text}'", param_hint=option
+            ) from None
+    return found
+
+
+def look_away(ignore: tuple[str, ...], size: tuple[int, int]) -> np.ndarray | None:
+    """(h, w), False inside the ``X,Y,W,H`` rectangles and where an image is not black."""
+    if not ignore:
+        return None
+    import numpy as np
+
+    from godfit.image import read_image
+
+    valid = np.ones(size, bool)
+    for text in ignore:
+        numbers = text.split(",")
+        if len(numbers) == 4 and all(n.strip().lstrip("-").isdigit() for n in numbers):
+            x, y, w, h = (int(n) for n in numbers)
+            if w <= 0 or h <= 0:
+                raise InputError(f"--ignore: expected a width and height above 0, got '{text}'")
+            valid[max(y, 0) : max(y + h, 0), max(x, 0) : max(x + w, 0)] = False
+            continue
+        if len(numbers) == 4 and not Path(text).exists():
+            raise InputError(
+                f"--ignore: expected X,Y,W,H in whole pixels or an image, got '{text}'"
+            )
+        image = np.atleast_3d(read_image(text).values)
+        if image.shape[:2] != size:
+            raise InputError(
+                f"--ignore: expected the target's {size[1]}x{size[0]} pixels, got "
+                f"{image.shape[1]}x{image.shape[0]} in '{text}'"
+            )
+        valid &= (image <= 0).all(-1)
+    return valid
+
+
+def pair(text: str) -> tuple[float, float]:
+    """``U,V`` -> two numbers."""
+    try:
+        u, v = (float(n) for n in text.split(","))
+    except ValueError:
+        raise click.BadParameter(f"expected U,V, got '{text}'", param_hint="--light") from None
+    return u, v
+
+
+def three(text: str | None, option: str) -> tuple[float, ...] | None:
+    """``R,G,B`` -> three numbers."""
+    if text is None:
+        return None
+    try:
+        r, g, b = (float(n) for n in text.split(","))
+    except ValueError:
+        raise click.BadParameter(f"expected R,G,B, got '{text}'", param_hint=option) from None
+    return r, g, b
+
+
+def whole(text: str) -> tuple[int, int]:
+    """``WxH`` -> (h, w)."""
+    parts = text.lower().split("x")
+    if len(parts) != 2 or not all(p.isdigit() and int(p) > 0 for p in parts):
+        raise click.BadParameter(f"expected WxH in pixels, got '{text}'", param_hint="--size")
+    return int(parts[1]), int(parts[0])

@@ -1,0 +1,48 @@
+"""What a command says on stderr while it works."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import click
+
+
+class Progress:
+    """Stages of the work on stderr: a spinner once a second has passed, on a terminal and unless
+    asked to be quiet; with ``verbose`` a line for each, wherever stderr goes."""
+
+    # Python drops an interrupt that comes while it runs a finaliser: the next stage asks once more.
+    interrupted = False
+
+    def __init__(self, quiet: bool, verbose: bool) -> None:
+        from rich.console import Console
+
+        self.console = Console(stderr=True)
+        self.spins = not quiet and not verbose and self.console.is_terminal
+        self.verbose = verbose and not quiet
+        self.began = time.perf_counter()
+        self.status: Any = None
+
+    def __call__(self, stage: str) -> None:
+        if Progress.interrupted:
+            raise KeyboardInterrupt
+        elapsed = time.perf_counter() - self.began
+        if self.verbose:
+            click.echo(f"godfit: {elapsed:6.2f} s  {stage}", err=True)
+        elif self.spins and self.status is not None:
+            self.status.update(stage)
+        elif self.spins and elapsed > 1:
+            self.status = self.console.status(stage)
+            self.status.start()
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.status is not None:
+            self.status.stop()
+
+
+def warn(text: str) -> None:
+    click.echo(f"godfit: warning: {text}", err=True)

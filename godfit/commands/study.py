@@ -1,0 +1,149 @@
+"""What the commands that fit have in common: from a target's files to a folder of results."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import sys
+import threading
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import click
+
+from godfit.commands.options import look_away
+from godfit.commands.progress import Progress, warn
+from godfit.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from godfit.image import Image
+
+NOT_CONVERGED = 3
+
+
+class Study(NamedTuple):
+    """A target, where to look at it, what is known of it, and the folder for what is found."""
+
+    image: Image
+    valid: np.ndarray | None
+    options: dict[str, Any]
+    folder: Path
+
+
+def folder_for(target: str, output: str | None) -> Path:
+    """Where the result goes. Raises InputError now rather than after the work is done."""
+    folder = Path(output) if output else Path(target).with_suffix(".godfit")
+    near = folder
+    while not near.exists() and near != near.parent:
+        near = near.parent
+    if not near.is_dir():
+        raise InputError(
+            f"output: expected a folder, got the file '{near}'; choose another with -o"
+        )
+    if not os.access(near, os.W_OK):
+        raise InputError(f"output: '{near}' cannot be written; choose another folder with -o")
+    return folder
+
+
+def opened(
+    target: str,
+    given: Mapping[str, Any],
+    ignore: tuple[str, ...],
+    output: str | None,
+    *,
+    plane: bool = False,
+) -> Study:
+    """The target with its options: those of the file beside it, and ``given`` ones in their place.
+    In the ``plane`` a canvas will do for a mask."""
+    from godfit.image import read_image
+    from godfit.sidecar import read_sidecar
+
+    options = read_sidecar(target) | {k: v for k, v in given.items() if v is not None}
+    folder = folder_for(target, output)
+    # The target first: a missing one should not be reported as a missing mask.
+    image = read_image(target, transfer=options.get("transfer", "none"))
+    for one, other in (("mask", "scene"), ("scene", "mask")):
+        if given[one] is not None and given[other] is None:
+            # What is said here replaces what stands beside the target.
+            options.pop(other, None)
+    if "mask" in options and "scene" in options:
+        raise click.UsageError("expected --mask or --scene, got both; a scene draws its own mask")
+    if "mask" not in options and "scene" not in options and not (plane and "canvas" in options):
+        raise click.UsageError(
+            "expected --mask IMAGE or --scene SCENE.toml, or "
+            f"{Path(target).with_suffix('.toml').name} beside the target naming one; got neither"
+        )
+    return Study(image, look_away(ignore, image.values.shape[:2]), options, folder)
+
+
+@contextmanager
+def working(quiet: bool, verbose: bool) -> Iterator[Progress]:
+    """Say what is going on, and keep what is compiled."""
+    with Progress(quiet, verbose) as progress:
+        progress("loading JAX")
+        from godfit.cache import keep_compiled
+
+        keep_compiled()
+        yield progress
+
+
+def made_ready(options: dict[str, Any], quiet: bool, progress: Progress) -> None:
+    """Put the scene itself in the place of its file, and say what is assumed."""
+    if "scene" in options:
+        from godfit.scene import read_scene
+
+        progress("loading meshes")
+        options["scene"] = read_scene(options["scene"])
+    if options.get("model", "mitchell") == "mitchell" and not quiet:
+        say_assumed(options)
+    # Loaded while compiled programs run, which need the interpreter little.
+    threading.Thread(target=_load_drawing, daemon=True).start()
+
+
+def say_assumed(options: Mapping[str, Any]) -> None:
+    """Warn of a shader or a number of samples that nobody gave."""
+    from godfit.taps import convention
+
+    said = {**options["scene"].settings, **options} if "scene" in options else options
+    if "shader" not in said:
+        warn("no shader given: 'mitchell' assumed; see `godfit shaders`")
+    shader = convention(said.get("shader", "mitchell"))
+    if "samples" not in said and "samples" not in shader.defaults:
+        warn(f"{shader.name} publishes no default: {shader.samples} samples assumed")
+
+
+def _load_drawing() -> None:
+    import matplotlib.backends.backend_agg
+    import matplotlib.figure  # noqa: F401
+
+
+def command_line() -> str:
+    return shlex.join(["godfit", *sys.argv[1:]])
+
+
+def concluded(
+    notes: Iterable[str],
+    record: dict[str, Any],
+    summary: str,
+    files: str,
+    *,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Print warnings, and the record or the summary with the files that were written."""
+    if not quiet:
+        for note in dict.fromkeys(notes):
+            warn(note)
+    if as_json:
+        click.echo(json.dumps(record, indent=1, ensure_ascii=False))
+    else:
+        click.echo(f"{summary}\n\n  {files}")
+
+
+def written(folder: Path, *names: str) -> str:
+    return f"{folder}{os.sep}: {', '.join(names)}"
