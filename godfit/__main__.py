@@ -272,7 +272,7 @@ def fit(
         command = shlex.join(["godfit", *sys.argv[1:]])
         save(result, folder, command)
     if not quiet:
-        for note in [*result.notes, *result.undetermined]:
+        for note in [*result.notes, *result.undetermined, *result.warnings]:
             warn(note)
     if as_json:
         click.echo(json.dumps(record(result, command), indent=1, ensure_ascii=False))
