@@ -368,7 +368,9 @@ def gradient_sky(size: int) -> Outcome:
     result = fit(scenes.to_bytes(light_pass(mask)), mask)
     said = " ".join(result.undetermined)
     off = wrong(result)
-    return "light_x" in said and not (result.converged and off), f"{says(result)}; off: {off}"
+    return "light_x" in said and not result.converged and finite(
+        result
+    ), f"{says(result)}; off: {off}"
 
 
 def solver(name: str) -> Callable[[int], Outcome]:
@@ -486,7 +488,7 @@ def attempt(case: Case, size: int) -> Outcome:
 
 def main() -> int:
     parser = argparse.ArgumentParser()
-    parser.add_argument("--sizes", type=int, nargs=2, default=[64, 128])
+    parser.add_argument("--sizes", type=int, nargs="+", default=[64, 128])
     parser.add_argument("--only", default="")
     parser.add_argument("--figure")
     parser.add_argument("--basins")
@@ -505,14 +507,16 @@ def main() -> int:
             )
         jax.clear_caches()
     kept = sum(k for row in table for k, _ in row)
-    print(f"{len(cases)} rows at {len(options.sizes)} sizes: {kept} of {2 * len(cases)} kept")
+    print(
+        f"{len(cases)} rows at {len(options.sizes)} sizes: {kept} of {len(options.sizes) * len(cases)} kept"
+    )
     if options.figure:
         draw(cases, table, options.sizes, options.figure)
     if options.basins:
         from basins import chart
 
         chart(options.basins)
-    return 0 if kept == 2 * len(cases) else 1
+    return 0 if kept == len(options.sizes) * len(cases) else 1
 
 
 def draw(cases: list[Case], table: list[list[Outcome]], sizes: list[int], path: str) -> None:

@@ -34,6 +34,7 @@ class Found:
     held: np.ndarray
     opened: list[tuple[int, list[int]]]
     starts_agreed: tuple[int, int] | None = None
+    other_transfer: bool = False
 
 
 def verdict(
@@ -60,7 +61,7 @@ def verdict(
     left = misfit(at.prediction, seen)
     by_pixel, growth, suspects = _correlated(found, at.covariance(free), left)
     by_pixel *= max(1.0, full / low / growth)
-    growth = max(growth, full / low)
+    growth = max(growth, full / low, picture.repeats)
     block = next((s for s in suspects if s.name == "jpeg"), None)
     covariance = by_coordinate @ by_pixel @ by_coordinate.T
     # A parameter that an open coordinate would change is not known, however well the rest is.
@@ -93,10 +94,12 @@ def verdict(
     # What a JPEG leaves is not noise; where nothing else is wrong, errors that allow for its
     # correlation make an answer of it.
     trusted |= block is not None and len(suspects) == 1 and settled.sigma < JPEG_NOISE
-    converged = trusted and settled.quiet
+    # One line of pixels, repeated, has so many explanations that its errors say nothing.
+    a_line = picture.repeats > 1 and int(free.sum()) > 2
+    converged = trusted and settled.quiet and not a_line
     return FitResult(
         converged=converged,
-        message=_message(settled, trusted, left),
+        message=_message(settled, trusted, left, a_line),
         model=fitted,
         params=params,
         covariance=covariance,
@@ -141,6 +144,9 @@ def _correlated(
     if not left.like_noise or settled.sigma > 1:
         pixels = np.asarray(seen.pixels)
         likely = diagnostics.diagnose(found.picture, model, pixels, tangent)
+        if found.other_transfer:
+            words = diagnostics.WORDS["transfer"]
+            likely = [diagnostics.Suspect(1.0, "transfer", words)]
         suspects += diagnostics.named(likely)
     return covariance, growth, suspects
 
@@ -155,12 +161,17 @@ def _parameters(model: AbstractModel, coordinates: Vector, held: Vector):
     return model.moved(coordinates, held), values(coordinates), jax.jacfwd(values)(coordinates)
 
 
-def _message(settled: search.Settled, trusted: bool, left: Misfit) -> str:
+def _message(settled: search.Settled, trusted: bool, left: Misfit, a_line: bool) -> str:
     if not trusted:
         return (
             f"the residual is not noise (of {settled.sigma:.2f} levels, neighbours correlated by "
             f"{left.correlation:.2f}, tails of {left.tails:.1f} where noise has 3): the shader, "
             "mask or transfer may be another, or the best point was missed; try --start"
+        )
+    if a_line:
+        return (
+            "target and mask are one line of pixels, repeated: too many parameters explain it "
+            "alike; hold some with --fix"
         )
     if not settled.quiet:
         return "the steps had not died down when the fit stopped; try --start near this answer"
