@@ -33,7 +33,7 @@ def _share_of_none(levels: np.ndarray, down: int, right: int) -> float:
         blocks = blocks[np.random.default_rng(0).permutation(len(blocks))[:MAX_BLOCKS]]
     if len(blocks) < 8:
         return float("nan")
-    size = np.abs(fft.dctn(blocks, axes=(1, 2), norm="ortho"))
+    size = np.abs(np.asarray(fft.dctn(blocks, axes=(1, 2), norm="ortho")))
     return float(np.mean(size.reshape(-1, 64)[:, 1:] < NONE))
 
 

@@ -43,7 +43,7 @@ def neighbours(score: np.ndarray, seen: Observation) -> tuple[float, float, int]
 def white(score: np.ndarray, seen: Observation) -> bool:
     """Whether neighbours know nothing of each other."""
     across, down, pairs = neighbours(score, seen)
-    return max(across, down) < max(TRACE, CHANCE / np.sqrt(max(pairs, 1)))
+    return bool(max(across, down) < max(TRACE, CHANCE / np.sqrt(max(pairs, 1))))
 
 
 def slope_covariance(

@@ -27,6 +27,8 @@ from godfit.timing import compile_seconds
 from godfit.verdict import Found, verdict
 
 STARTS = 6
+# Of them, those that a doubtful fit is tried from once more, each on its own.
+AGAIN = 3
 # More values than this say nothing new, and their derivatives would fill the memory.
 MAX_VALUES = 1 << 21
 Say = Callable[[str], None]
@@ -216,7 +218,7 @@ def _look(
     at = at.thinned(picture.repeats)
     found = Found(model, picture, seen, settled, at, free, held, opened)
     if free.any() and model.banded and restarts.doubtful(found):
-        found = restarts.again(found, begun, seed, say)
+        found = restarts.again(found, begun[:AGAIN], seed, say)
         if found.settled.sigma > dips.HOPELESS:
             say("another transfer")
             other = restarts.other_transfer(
