@@ -507,9 +507,7 @@ def main() -> int:
             )
         jax.clear_caches()
     kept = sum(k for row in table for k, _ in row)
-    print(
-        f"{len(cases)} rows at {len(options.sizes)} sizes: {kept} of {len(options.sizes) * len(cases)} kept"
-    )
+    print(f"{len(cases)} rows at {len(options.sizes)} sizes: {kept} of {tries} kept")
     if options.figure:
         draw(cases, table, options.sizes, options.figure)
     return 0 if kept == len(options.sizes) * len(cases) else 1
