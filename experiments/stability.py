@@ -506,11 +506,12 @@ def main() -> int:
                 flush=True,
             )
         jax.clear_caches()
+    tries = len(options.sizes) * len(cases)
     kept = sum(k for row in table for k, _ in row)
     print(f"{len(cases)} rows at {len(options.sizes)} sizes: {kept} of {tries} kept")
     if options.figure:
         draw(cases, table, options.sizes, options.figure)
-    return 0 if kept == len(options.sizes) * len(cases) else 1
+    return 0 if kept == tries else 1
 
 
 def draw(cases: list[Case], table: list[list[Outcome]], sizes: list[int], path: str) -> None:
