@@ -63,7 +63,9 @@ def exposed(mask: np.ndarray, truth: dict[str, float], top: float) -> None:
 
 def enlarged(low: np.ndarray, size: int) -> np.ndarray:
     """(size, size) read bilinearly at pixel centres."""
-    return ndimage.zoom(low, size / low.shape[0], order=1, mode="nearest", grid_mode=True)
+    return np.asarray(
+        ndimage.zoom(low, size / low.shape[0], order=1, mode="nearest", grid_mode=True)
+    )
 
 
 def encoded(levels: np.ndarray, quality: int) -> np.ndarray:
