@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from godfit import dips, inputs, screen, screen_air, search
+from godfit import dips, inputs, restarts, screen, screen_air, search
 from godfit.contested import agreed
 from godfit.errors import InputError
 from godfit.flatland import inputs as plane
@@ -30,6 +30,8 @@ from godfit.timing import compile_seconds
 from godfit.verdict import Found, verdict
 
 STARTS = 6
+# Of them, those that a doubtful fit is tried from once more, each on its own.
+AGAIN = 3
 # More values than this say nothing new, and their derivatives would fill the memory.
 MAX_VALUES = 1 << 21
 Say = Callable[[str], None]
@@ -255,7 +257,16 @@ def _look(
         settled, at = dips.next_dips(settled, at, model, seen, free, held)
         settled, at = dips.beat_rivals(settled, at, model, picture, seen, free, held, seed)
         settled, at = dips.beat_distant(settled, at, model, picture, seen, free, held, seed)
+    at = at.thinned(picture.repeats)
     found = Found(model, picture, seen, settled, at, free, held, opened)
+    if free.any() and model.banded and restarts.doubtful(found):
+        found = restarts.again(found, begun[:AGAIN], seed, say)
+        if found.settled.sigma > dips.HOPELESS:
+            say("another transfer")
+            other = restarts.other_transfer(
+                found, lambda read: _starts(read, model, given, seed), seed
+            )
+            found = dataclasses.replace(found, other_transfer=other)
     return _hold_open(found, given)
 
 
@@ -321,7 +332,7 @@ def _hold_open(found: Found, given: dict[str, float]) -> Found:
     return dataclasses.replace(
         found,
         settled=settled,
-        at=evidence(settled, tangent, found.seen),
+        at=evidence(settled, tangent, found.seen).thinned(found.picture.repeats),
         free=free,
         opened=found.opened + more,
     )

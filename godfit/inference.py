@@ -36,6 +36,15 @@ class Evidence(NamedTuple):
     prediction: np.ndarray
     score: np.ndarray
 
+    def thinned(self, repeats: float) -> Evidence:
+        """The evidence of a picture that says everything ``repeats`` times over, as least squares
+        counts it: the roundings of so few different pixels are no sample of anything, and walls
+        of intervals that they happen to touch promise far too much."""
+        if repeats <= 1:
+            return self
+        blunt = self.blunt / repeats
+        return self._replace(curvature=blunt, scores=blunt, blunt=blunt)
+
     def covariance(self, free: np.ndarray) -> np.ndarray:
         """(p, p) covariance of the coordinates, zero for those that are not free.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -134,6 +135,22 @@ class Picture:
     def clipped(self) -> np.ndarray:
         """(h, w): pixels at the top of the scale in some channel."""
         return np.any(self.levels >= LEVELS - self.half, -1) & np.bool_(self.half > 0)
+
+    @functools.cached_property
+    def repeats(self) -> float:
+        """How many times over the picture says the same: lines of pixels that are exactly as the
+        line before them, in target, mask and background, say nothing new. 1 for most pictures."""
+        images = [self.levels, self.mask, *([] if self.background is None else [self.background])]
+        most = 1.0
+        for axis in (0, 1):
+            fresh = 1
+            for image in images:
+                lines = np.moveaxis(image, axis, 0)
+                changed = sum(not np.array_equal(a, b) for a, b in itertools.pairwise(lines))
+                fresh = max(fresh, changed + 1)
+            most = max(most, self.size[axis] / fresh)
+        # A few equal lines at an edge are ordinary, and counted as they are.
+        return most if most >= 4 else 1.0
 
     def observe(self, pixels: np.ndarray, blur: float = 0.0) -> Observation:
         """The picture at ``pixels``; with ``blur`` (pixels, the standard deviation of a Gaussian),

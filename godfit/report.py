@@ -90,7 +90,12 @@ def summary(result: FitResult) -> str:
         f"{result.timing_s.get('solve', 0.0):.2f} s solving, "
         f"{result.timing_s.get('compile', 0.0):.2f} s compiling",
     ]
+    if result.pixels_effective < result.pixels:
+        lines.append(f"  correlated: worth {result.pixels_effective:,.0f} independent pixels")
+    if result.starts_agreed is not None:
+        lines.append("  {} of {} starts agreed".format(*result.starts_agreed))
     lines += [f"  note: {sentence}" for sentence in result.undetermined]
+    lines += [f"  warning: {sentence}" for sentence in result.warnings]
     lines += ["", f"  {'converged' if result.converged else 'not converged: ' + result.message}"]
     return "\n".join(lines)
 
@@ -116,6 +121,7 @@ def as_json(result: FitResult, command: str = "") -> dict[str, Any]:
         },
         "correlations": {pair: round(value, 6) for pair, value in result.correlations.items()},
         "undetermined": list(result.undetermined),
+        "warnings": list(result.warnings),
         "notes": list(result.notes),
         "noise_levels": _finite(result.noise_levels),
         "rmse_levels": _finite(result.rmse_levels),
@@ -124,6 +130,8 @@ def as_json(result: FitResult, command: str = "") -> dict[str, Any]:
         "residual_tails": _finite(result.residual_tails),
         "log_likelihood": _finite(result.log_likelihood),
         "pixels": result.pixels,
+        "pixels_effective": round(result.pixels_effective, 1),
+        "starts_agreed": result.starts_agreed,
         "pixels_clipped": result.pixels_clipped,
         "timing_s": {k: round(v, 4) for k, v in result.timing_s.items()},
         "inputs": result.inputs,
@@ -241,7 +249,8 @@ def _write_parameters(axes, result: FitResult) -> None:
     style: dict[str, Any] = {"family": "monospace", "fontsize": 9, "va": "top"}
     axes.text(0.0, 1.0, "\n".join(lines[:half]), **style)
     axes.text(0.5, 1.0, "\n".join(lines[half:]), **style)
-    remarks = [*result.undetermined, *([] if result.converged else [result.message])]
+    remarks = [*result.undetermined, *result.warnings]
+    remarks += [] if result.converged else [result.message]
     axes.text(0.0, 0.3, "\n".join(remarks), fontsize=8, va="top", color="firebrick", wrap=True)
 
 
@@ -265,5 +274,5 @@ def html(result: FitResult) -> str:
         "<tr>" + "".join(f"<td>{markup.escape(cell)}</td>" for cell in row) + "</tr>"
         for row in _rows(result)
     )
-    words = markup.escape("; ".join([result.message, *result.undetermined]))
+    words = markup.escape("; ".join([result.message, *result.undetermined, *result.warnings]))
     return f"<table>{head}{body}</table><p>{words}</p>"

@@ -33,7 +33,10 @@ class FitResult:
 
     ``covariance`` is that of the parameters in the order of ``params`` (NaN where held);
     ``correlations`` keeps the pairs above 0.1 in size, largest first; ``undetermined`` names in
-    words what the picture leaves open. ``noise_levels`` is the standard deviation of the noise
+    words what the picture leaves open, ``warnings`` why the model may be the wrong one.
+    ``pixels_effective`` is how many independent pixels say as much: fewer than ``pixels`` where
+    their errors are correlated. ``starts_agreed`` is (agreeing, tried) where other starts were
+    tried. ``noise_levels`` is the standard deviation of the noise
     before rounding; ``residual_correlation`` is that of neighbouring residuals, near 0 for noise,
     ``residual_tails`` their kurtosis, near 3 for Gaussian noise.
     """
@@ -45,17 +48,20 @@ class FitResult:
     covariance: np.ndarray
     correlations: dict[str, float]
     undetermined: tuple[str, ...]
+    warnings: tuple[str, ...]
     notes: tuple[str, ...]
     noise_levels: float
     rmse_levels: float
     psnr_db: float
     pixels: int
+    pixels_effective: float
     pixels_clipped: int
     residual_correlation: float
     residual_tails: float
     log_likelihood: float
     timing_s: dict[str, float]
     picture: Picture
+    starts_agreed: tuple[int, int] | None = None
     inputs: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
 
     @functools.cached_property

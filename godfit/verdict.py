@@ -9,11 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from godfit import search
+from godfit import correlated, diagnostics, search
 from godfit.inference import Evidence, Misfit, misfit
 from godfit.models import AbstractModel, Vector
 from godfit.observation import LEVELS, Observation, Picture
 from godfit.result import Estimate, FitResult
+from godfit.solver import linearise
 
 
 @dataclass
@@ -29,6 +30,8 @@ class Found:
     free: np.ndarray
     held: np.ndarray
     opened: list[tuple[int, list[int]]]
+    starts_agreed: tuple[int, int] | None = None
+    other_transfer: bool = False
 
 
 def verdict(
@@ -52,7 +55,10 @@ def verdict(
     values, by_coordinate = np.asarray(values), np.asarray(by_coordinate, np.float64)
     # The pixels of an upsampled pass share its texels and say no more than these.
     low, full = np.prod(picture.mask.shape[:2]), np.prod(picture.size)
-    by_pixel = at.covariance(free) * (full / low)
+    left = misfit(at.prediction, seen)
+    by_pixel, growth, suspects = _correlated(found, at.covariance(free), left)
+    by_pixel *= max(1.0, full / low / growth)
+    growth = max(growth, full / low, picture.repeats)
     covariance = by_coordinate @ by_pixel @ by_coordinate.T
     # A parameter that an open coordinate would change is not known, however well the rest is.
     unknown = (
@@ -78,32 +84,64 @@ def verdict(
     target = picture.levels.reshape(-1, picture.channels)[pixels].reshape(-1)
     error = np.clip(at.prediction, 0, LEVELS) - target
     rmse = float(np.sqrt(np.mean(error.astype(np.float64) ** 2)))
-    left = misfit(at.prediction, seen)
     # A pass that is upsampled was rounded once before.
     allowed = search.WITHIN_ROUNDING * (2 if low < full else 1)
     trusted = settled.sigma <= allowed or left.like_noise
-    converged = trusted and settled.quiet
+    # One line of pixels, repeated, has so many explanations that its errors say nothing.
+    a_line = picture.repeats > 1 and int(free.sum()) > 2
+    converged = trusted and settled.quiet and not a_line
     return FitResult(
         converged=converged,
-        message=_message(settled, trusted, left),
+        message=_message(settled, trusted, left, a_line),
         model=fitted,
         params=params,
         covariance=covariance,
         correlations=_correlations(names, covariance),
         undetermined=_sentences(open_, names, values, model.product),
+        warnings=tuple(s.words for s in suspects),
         notes=notes,
         noise_levels=settled.sigma,
         rmse_levels=rmse,
         psnr_db=float(20 * np.log10(LEVELS / max(rmse, 1e-6))),
         pixels=len(pixels),
+        pixels_effective=len(pixels) / growth,
         pixels_clipped=int((picture.clipped & picture.valid).sum()),
         residual_correlation=left.correlation,
         residual_tails=left.tails,
         log_likelihood=settled.log_likelihood,
         timing_s=timing | {"solve": timing["solve"] - timing["compile"]},
         picture=picture,
+        starts_agreed=found.starts_agreed,
         inputs=files,
     )
+
+
+def _correlated(
+    found: Found, covariance: np.ndarray, left: Misfit
+) -> tuple[np.ndarray, float, list[diagnostics.Suspect]]:
+    """The covariance (p, p) with correlation allowed for, how many pixels each independent one
+    stands for, and what may be wrong. Untouched where neighbours err independently."""
+    settled, seen = found.settled, found.seen
+    if settled.sigma <= search.WITHIN_ROUNDING:
+        return covariance, 1.0, []
+    block = diagnostics.jpeg(found.picture)
+    suspects = [] if block is None else [block]
+    if correlated.white(found.at.score, seen):
+        return covariance, 1.0, suspects
+    scale = found.model.scales(settled.coordinates)
+    prediction, jacobian = linearise(settled.coordinates, found.held, scale, found.model, seen)
+    tangent = search.Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
+    slope = correlated.slope_covariance(tangent, found.at.score, settled.sigma, seen)
+    covariance, growth = correlated.widened(covariance, slope, found.free)
+    model = found.model.moved(jnp.asarray(settled.coordinates), jnp.asarray(found.held))
+    if not left.like_noise or settled.sigma > 1:
+        pixels = np.asarray(seen.pixels)
+        likely = diagnostics.diagnose(found.picture, model, pixels, tangent)
+        if found.other_transfer:
+            words = diagnostics.WORDS["transfer"]
+            likely = [diagnostics.Suspect(1.0, "transfer", words)]
+        suspects += diagnostics.named(likely)
+    return covariance, growth, suspects
 
 
 @eqx.filter_jit
@@ -116,12 +154,17 @@ def _parameters(model: AbstractModel, coordinates: Vector, held: Vector):
     return model.moved(coordinates, held), values(coordinates), jax.jacfwd(values)(coordinates)
 
 
-def _message(settled: search.Settled, trusted: bool, left: Misfit) -> str:
+def _message(settled: search.Settled, trusted: bool, left: Misfit, a_line: bool) -> str:
     if not trusted:
         return (
             f"the residual is not noise (of {settled.sigma:.2f} levels, neighbours correlated by "
             f"{left.correlation:.2f}, tails of {left.tails:.1f} where noise has 3): the shader, "
             "mask or transfer may be another, or the best point was missed; try --start"
+        )
+    if a_line:
+        return (
+            "target and mask are one line of pixels, repeated: too many parameters explain it "
+            "alike; hold some with --fix"
         )
     if not settled.quiet:
         return "the steps had not died down when the fit stopped; try --start near this answer"

@@ -74,7 +74,7 @@ def fit(
         progress("drawing")
         save(result, study.folder, command_line())
     concluded(
-        [*result.notes, *result.undetermined],
+        [*result.notes, *result.undetermined, *result.warnings],
         record(result, command_line()),
         result.summary(),
         written(study.folder, "fit.json", "fit.png", "render.png"),

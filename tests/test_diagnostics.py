@@ -1,0 +1,70 @@
+"""Warnings: each defect is named, clean targets are left alone. A small, seeded run of
+experiments/diagnostics.py."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from godfit.blocks import was_jpeg
+from godfit.diagnostics import Span, Suspect, named
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
+import diagnostics
+import scenes
+
+
+@pytest.mark.parametrize("kind", ["upsampled", "convention", "jpeg"])
+def test_a_defect_is_named(kind):
+    result = diagnostics.warned(kind, 1, 96)
+    assert any(diagnostics.SAYS[kind] in w for w in result.warnings), result.warnings
+    assert not result.converged
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_clean_targets_get_no_warning_and_keep_their_errors(seed):
+    result = diagnostics.warned("clean", seed, 96)
+    assert result.converged
+    assert result.warnings == ()
+    assert result.pixels_effective == result.pixels
+    assert result.starts_agreed is None
+
+
+def test_every_seed_gives_a_defect_that_is_there():
+    for kind in diagnostics.SAYS:
+        target, given = diagnostics.made(kind, 2, 64)
+        assert target.shape == given["mask"].shape == (64, 64)
+
+
+@pytest.mark.parametrize("quality", [60, 75, 90, 95])
+def test_jpegs_are_told_from_pictures(quality):
+    for seed, kind in enumerate(scenes.FRESH):
+        for noise in (0.0, 1.0):
+            _, image, _ = scenes.draw(seed, kind, 128)
+            target = scenes.to_bytes(image, noise, seed)
+            assert not was_jpeg(target.astype(float)), (kind, noise)
+            if not noise:
+                assert was_jpeg(diagnostics.encoded(target, quality).astype(float)), kind
+
+
+def test_small_flat_or_clipped_pictures_are_no_jpegs():
+    assert not was_jpeg(np.zeros((20, 20)))
+    assert not was_jpeg(np.full((64, 64), 255.0))
+
+
+def test_what_parameters_do_as_well_is_no_evidence():
+    rng = np.random.default_rng(0)
+    jacobian, defect, noise = rng.normal(size=(2, 500)), rng.normal(size=500), rng.normal(size=500)
+    span = Span(jacobian, 3 * defect + noise)
+    assert span.share([defect]) == pytest.approx(0.9, abs=0.03)
+    assert span.step(defect) == pytest.approx(3, abs=0.15)
+    assert span.share([jacobian[0] + jacobian[1]]) == 0
+    assert Span(jacobian, noise).share([defect]) < 0.02
+
+
+def test_only_what_explains_nearly_as_much_is_named():
+    suspects = [Suspect(s, n, "") for s, n in ((0.8, "a"), (0.6, "b"), (0.3, "c"))]
+    assert [s.name for s in named(suspects)] == ["a", "b"]
+    assert named([Suspect(0.1, "a", "")]) == []
+    assert named([]) == []
