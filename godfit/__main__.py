@@ -257,6 +257,7 @@ def fit(
         from godfit.report import save
 
         imported = time.perf_counter() - STARTED
+        staged = options.get("scene")
         load_scene(options, progress)
         if options.get("model", "mitchell") == "mitchell" and not quiet:
             say_assumed(options)
@@ -266,6 +267,8 @@ def fit(
             image, free=free, fix=fixed, start=started, valid=valid, seed=seed,
             progress=progress, **options,
         )  # fmt: skip
+        if staged is not None:
+            result.inputs["scene"] = {"path": staged}
         result.timing_s["import"] = imported
         result.timing_s["total"] = time.perf_counter() - STARTED
         progress("drawing")
@@ -346,6 +349,67 @@ def compare(
         click.echo(found.summary())
         click.echo(f"\n  {folder}{os.sep}: compare.json, compare.png")
     return 0 if any(row.result.converged for row in found.rows) else NOT_CONVERGED
+
+
+@cli.command()
+@click.argument("fit_json", metavar="FIT.JSON")
+@click.option(
+    "--tolerance",
+    type=float,
+    required=True,
+    metavar="LEVELS",
+    help="Largest error, in 8-bit levels.",
+)
+@click.option(
+    "--by",
+    type=click.Choice(["worst", "rms"]),
+    default="worst",
+    help="Of the worst pixel, or in the mean square. [default: worst]",
+)
+@click.option("--mask", help="Occlusion mask. [default: that of the fit]")
+@click.option("--scene", help="Scene file to draw the mask from.")
+@click.option("--background", help="Ordinary pass. [default: that of the fit]")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, and nothing else, to stdout.")
+@click.option("-q", "--quiet", is_flag=True, help="No progress, no warnings.")
+@click.option("-v", "--verbose", is_flag=True, help="A line for every trial.")
+def simplify(
+    fit_json: str,
+    tolerance: float,
+    by: str,
+    mask: str | None,
+    scene: str | None,
+    background: str | None,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+) -> int:
+    """The fewest samples and the smallest light pass that show the picture of FIT.JSON.
+
+    Decay, density and weight are rescaled to go with them. Every pixel is compared with the render
+    at the fit's own samples; the result is printed, ready to paste into the shader.
+    """
+    with Progress(quiet, verbose) as progress:
+        progress("loading JAX")
+        from godfit.cache import keep_compiled
+
+        keep_compiled()
+        from godfit import simplify as simpler
+        from godfit.record import recorded
+
+        fitted = recorded(fit_json, mask=mask, scene=scene, background=background)
+        found = simpler.simplify(
+            fitted.model, fitted.mask, tolerance, background=fitted.background, size=fitted.size,
+            transfer=fitted.transfer, by=by, progress=progress,
+        )  # fmt: skip
+    if not quiet:
+        for note in fitted.notes:
+            warn(note)
+    if as_json:
+        record = simpler.as_json(found, tolerance, by, shlex.join(["godfit", *sys.argv[1:]]))
+        click.echo(json.dumps(record, indent=1, ensure_ascii=False))
+    else:
+        click.echo(found.summary())
+    return 0
 
 
 @cli.command()
@@ -436,6 +500,7 @@ def render(
     """
     from godfit.image import read_image, write_image
     from godfit.inputs import check_model, drawn, model_from, place_of, shrink_mask
+    from godfit.record import read_params
 
     if tolerance is not None and not 0 <= tolerance < float("inf"):
         raise click.BadParameter(
@@ -575,21 +640,6 @@ def whole(text: str) -> tuple[int, int]:
     if len(parts) != 2 or not all(p.isdigit() and int(p) > 0 for p in parts):
         raise click.BadParameter(f"expected WxH in pixels, got '{text}'", param_hint="--size")
     return int(parts[1]), int(parts[0])
-
-
-def read_params(path: str) -> dict[str, Any]:
-    """Shader, samples and parameters of a fit.json."""
-    try:
-        record = json.loads(Path(path).read_text(encoding="utf-8"))
-        given = ("model", "shader", "samples", "phase", "fov", "distance")
-        return {
-            **{key: record[key] for key in given if key in record},
-            **{name: entry["value"] for name, entry in record["params"].items()},
-        }
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(
-            f"'{path}': expected a fit.json, got {type(error).__name__}: {error}"
-        ) from error
 
 
 @cli.command()

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,23 +19,76 @@ import numpy as np
 from scipy import optimize
 
 from godfit.errors import InputError
+from godfit.image import encode
 from godfit.models import Mitchell
 from godfit.observation import LEVELS, render, shrink
 
 SCALES = (1.0, 0.5, 0.25)
 LEAST = 2
+# Levels that are kept of the tolerance: what float32 may be off by, and more.
+SPARE = 5e-3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Simpler:
     """The cheapest setting found: ``scale`` is that of the light pass's sides. ``worst`` and
-    ``rms`` are its error in levels; ``saving`` is how many times fewer taps a picture takes."""
+    ``rms`` are its error in levels against ``full``; ``saving`` is how many times fewer taps a
+    picture takes."""
 
+    full: Mitchell
     model: Mitchell
     scale: float
     worst: float
     rms: float
     saving: float
+
+    @property
+    def sentence(self) -> str:
+        """What the picture needs, in words."""
+        few, many = self.model.samples, self.full.samples
+        if self.saving == 1:
+            return f"this picture needs all of its {many} samples"
+        said = f"this picture needs {few} samples, not {many}"
+        if few == many:
+            said = f"this picture needs its {many} samples"
+        if self.scale < 1:
+            said += f", and a light pass of {self.scale:g} times the sides"
+        return f"{said}: {self.saving:.3g} times fewer taps"
+
+    def summary(self) -> str:
+        """The sentence, and what to paste into the shader."""
+        said = f"off by {self.worst:.3g} levels at most, {self.rms:.3g} rms"
+        settings = [("samples", str(self.model.samples))]
+        settings += [(name, f"{value:.9g}") for name, value in _numbers(self.model).items()]
+        if self.scale < 1:
+            settings.append(("pass scale", f"{self.scale:g}"))
+        wide = max(len(name) for name, _ in settings)
+        lines = [f"  {name:<{wide}} = {value}" for name, value in settings]
+        return "\n".join([self.sentence, f"  ({said})", "", *lines])
+
+
+def _numbers(model: Mitchell) -> dict[str, float]:
+    return {name: float(value) for name, value in model.values().items()}
+
+
+def as_json(found: Simpler, tolerance: float, by: str, command: str = "") -> dict[str, Any]:
+    """What ``godfit simplify --json`` prints; ``godfit render --params`` reads it."""
+    return {
+        "schema": 1,
+        "message": found.sentence,
+        "model": found.model.name,
+        "shader": found.model.shader,
+        "samples": found.model.samples,
+        "pass_scale": found.scale,
+        "params": {name: {"value": value} for name, value in _numbers(found.model).items()},
+        "tolerance_levels": tolerance,
+        "by": by,
+        "worst_levels": found.worst,
+        "rms_levels": found.rms,
+        "saving": found.saving,
+        "full_samples": found.full.samples,
+        "command": command,
+    }
 
 
 def resampled(model: Mitchell, samples: int) -> Mitchell:
@@ -82,7 +137,9 @@ def simplify(
     *,
     background: np.ndarray | None = None,
     size: tuple[int, int] | None = None,
+    transfer: str = "none",
     by: str = "worst",
+    progress: Callable[[str], None] | None = None,
 ) -> Simpler:
     """The setting of fewest taps whose picture is within ``tolerance`` levels of the model's.
 
@@ -92,6 +149,7 @@ def simplify(
     - `tolerance`: in 8-bit levels, of the worst pixel, or of all in the mean square
       (``by="rms"``).
     - `background`, `size`: as of `godfit.Mitchell`.
+    - `transfer`: how the picture is encoded; levels are those of the encoded picture.
 
     Raises InputError for a tolerance that is not above 0, and for the shader ``three``, whose
     samples are fixed. Errors do not fall evenly with samples: fewer than were found may do too.
@@ -102,30 +160,40 @@ def simplify(
         raise InputError(f"by: expected worst or rms, got '{by}'")
     if model.convention.box:
         raise InputError(f"simplify: expected a shader with samples, got '{model.convention.name}'")
+    if tolerance <= 2 * SPARE:
+        raise InputError(f"tolerance: expected more than {2 * SPARE:g} levels, got {tolerance:g}")
     shape = (mask.shape[0], mask.shape[1]) if size is None else size
-    full = render(model, mask, background, shape)
-    best = Simpler(model, 1.0, 0.0, 0.0, 1.0)
+    say = progress or (lambda text: None)
+
+    def levels(of: Mitchell, seen: np.ndarray) -> np.ndarray:
+        image = encode(render(of, seen, background, shape), transfer)
+        return LEVELS * np.asarray(image, np.float64)
+
+    full = levels(model, mask)
+    best = Simpler(model, model, 1.0, 0.0, 0.0, 1.0)
     for scale in SCALES:
         h, w = (max(1, round(n * scale)) for n in mask.shape[:2])
         low = mask if scale == 1 else shrink(mask, (h, w))
-        pixels = scale**2
 
-        def tried(samples: int, scale=scale, low=low, pixels=pixels) -> Simpler | None:
+        def tried(samples: int, scale=scale, low=low) -> Simpler | None:
+            say(f"{samples} samples, light pass of {low.shape[1]}x{low.shape[0]}")
             other = resampled(model, samples)
-            off = LEVELS * (render(other, low, background, shape) - full)
-            worst, rms = float(np.abs(off).max()), float(np.sqrt((off.astype(float) ** 2).mean()))
-            if (worst if by == "worst" else rms) > tolerance:
+            off = levels(other, low) - full
+            worst, rms = float(np.abs(off).max()), float(np.sqrt((off**2).mean()))
+            if (worst if by == "worst" else rms) > tolerance - SPARE:
                 return None
-            saving = model.samples / (samples * pixels)
-            return Simpler(other, scale, worst, rms, saving)
+            saving = model.samples / (samples * scale**2)
+            return Simpler(model, other, scale, worst, rms, saving)
 
         found = tried(model.samples) if scale != 1 else best
         if found is None:
-            continue
+            # A pass that is smaller still would be farther off.
+            break
         enough, few = model.samples, LEAST - 1
         while enough - few > 1:
-            middle = round(math.sqrt(max(few, 1) * enough)) if enough > 2 * few else 0
-            middle = min(max(middle or (few + enough) // 2, few + 1), enough - 1)
+            # In the middle of the logarithms while the two are far apart.
+            middle = round(math.sqrt(few * enough)) if enough > 2 * few else (few + enough) // 2
+            middle = min(max(middle, few + 1), enough - 1)
             other = tried(middle)
             if other is None:
                 few = middle
