@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from godfit.image import Image
     from godfit.models import Mitchell
+    from godfit.result import FitResult
     from godfit.scene import Scene
 
 NOT_CONVERGED = 3
@@ -213,6 +214,8 @@ def load_drawing() -> None:
 @click.option("--fix", multiple=True, metavar="NAME[=VALUE]", help="Hold a parameter.")
 @click.option("--start", multiple=True, metavar="NAME=VALUE", help="Start a parameter here.")
 @click.option("--ignore", multiple=True, metavar="X,Y,W,H|IMAGE", help="Pixels to look away from.")
+@click.option("--profile", multiple=True, metavar="NAME", help="95% interval of the likelihood.")
+@click.option("--posterior", is_flag=True, help="95% intervals of the posterior (blackjax).")
 @click.option("-o", "--output", metavar="DIR", help="Result folder. [default: TARGET.godfit]")
 @click.option(
     "--json", "as_json", is_flag=True, help="Print fit.json, and nothing else, to stdout."
@@ -226,6 +229,8 @@ def fit(
     fix: tuple[str, ...],
     start: tuple[str, ...],
     ignore: tuple[str, ...],
+    profile: tuple[str, ...],
+    posterior: bool,
     output: str | None,
     as_json: bool,
     seed: int,
@@ -253,9 +258,12 @@ def fit(
 
         keep_compiled()
         from godfit.fitting import fit as run
+        from godfit.posterior import require
         from godfit.report import as_json as record
         from godfit.report import save
 
+        if posterior:
+            require()
         imported = time.perf_counter() - STARTED
         staged = options.get("scene")
         load_scene(options, progress)
@@ -267,6 +275,7 @@ def fit(
             image, free=free, fix=fixed, start=started, valid=valid, seed=seed,
             progress=progress, **options,
         )  # fmt: skip
+        result = with_intervals(result, profile, posterior, seed, progress)
         if staged is not None:
             result.inputs["scene"] = {"path": staged}
         result.timing_s["import"] = imported
@@ -283,6 +292,24 @@ def fit(
         click.echo(result.summary())
         click.echo(f"\n  {folder}{os.sep}: fit.json, fit.png, render.png")
     return 0 if result.converged else NOT_CONVERGED
+
+
+def with_intervals(
+    result: FitResult, names: tuple[str, ...], posterior: bool, seed: int, progress: Progress
+) -> FitResult:
+    """The result with the intervals that were asked for."""
+    from godfit import posterior as drawing
+    from godfit.profile import check, profile
+
+    for name in names:
+        check(result, name)
+    for name in names:
+        progress(f"profile of {name}")
+        result = profile(result, name)
+    if posterior:
+        progress("posterior")
+        result = drawing.with_posterior(result, drawing.posterior(result, seed=seed))
+    return result
 
 
 @cli.command()
@@ -349,6 +376,76 @@ def compare(
         click.echo(found.summary())
         click.echo(f"\n  {folder}{os.sep}: compare.json, compare.png")
     return 0 if any(row.result.converged for row in found.rows) else NOT_CONVERGED
+
+
+@cli.command()
+@click.argument("target")
+@click.option("--mask", help="Occlusion mask, as for fit.")
+@click.option("--scene", help="Scene file: mask, camera, distances and light.")
+@click.option("--background", help="Ordinary pass that the light was laid on.")
+@click.option("--shader", help=SHADER_HELP)
+@click.option("--samples", type=int, help="Samples a ray. [default: the shader's own]")
+@click.option(
+    "--light",
+    metavar="U,V",
+    help="Where the light is before it is fitted. [default: the scene's, or the middle]",
+)
+@click.option("--pass-scale", type=float, help="Size of the light pass against the mask's.")
+@click.option("--transfer", type=click.Choice(["none", "srgb"]), help="How the target was encoded.")
+@click.option("--fov", type=float, help="Vertical field of view in degrees, without a scene.")
+@click.option("--distance", type=float, help="How far what is seen lies; with a scene, the sky.")
+@click.option("--ignore", multiple=True, metavar="X,Y,W,H|IMAGE", help="Pixels to look away from.")
+@click.option("-o", "--output", metavar="DIR", help="Result folder. [default: TARGET.godfit]")
+@click.option("--json", "as_json", is_flag=True, help="Print select.json, and nothing else.")
+@click.option("--seed", type=int, default=0, help="Seed of the choice of pixels.")
+@click.option("-q", "--quiet", is_flag=True, help="No progress, no warnings.")
+@click.option("-v", "--verbose", is_flag=True, help="A line for every stage.")
+def select(
+    target: str,
+    light: str | None,
+    ignore: tuple[str, ...],
+    output: str | None,
+    as_json: bool,
+    seed: int,
+    quiet: bool,
+    verbose: bool,
+    **given: Any,
+) -> int:
+    """The smallest model that explains TARGET: from a constant veil to two coloured lights.
+
+    Rungs whose light is not fitted have it at --light. The table goes to stdout, select.json and
+    select.png to x.godfit/. Exit status 3 if no rung leaves only noise.
+    """
+    place = None if light is None else pair(light)
+    image, options, folder = opened(target, given, output)
+    valid = look_away(ignore, image.values.shape[:2])
+    with Progress(quiet, verbose) as progress:
+        progress("loading JAX")
+        from godfit.cache import keep_compiled
+
+        keep_compiled()
+        from godfit import select as selecting
+
+        load_scene(options, progress)
+        if not quiet:
+            say_assumed(options)
+        threading.Thread(target=load_drawing, daemon=True).start()
+        found = selecting.select(
+            image, light=place, valid=valid, seed=seed, progress=progress, **options
+        )
+        progress("drawing")
+        command = shlex.join(["godfit", *sys.argv[1:]])
+        selecting.save(found, folder, command)
+    if not quiet:
+        for note in found.base.notes:
+            warn(note)
+    if as_json:
+        record = selecting.as_json(found, command)
+        click.echo(json.dumps(record, indent=1, ensure_ascii=False))
+    else:
+        click.echo(found.summary())
+        click.echo(f"\n  {folder}{os.sep}: select.json, select.png")
+    return 0 if found.recommended.like_noise else NOT_CONVERGED
 
 
 @cli.command()

@@ -13,11 +13,10 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from numba import njit
 
-from godfit.cache import numba_keeps
 from godfit.models import Mitchell
 from godfit.observation import LEVELS, Picture, grey
+from godfit.ray_sums import ray_sums
 from godfit.simplify import resampled
 
 FEW, MORE, KEEP = 192, 4096, 12
@@ -26,25 +25,6 @@ LEAST, MOST = 8, 320
 OFFSETS = np.linspace(-1, 1, 9)
 # Gain in log-likelihood of MORE values below which no other number is worth a fit.
 WORTH = 8.0
-
-
-@njit(cache=numba_keeps(), nogil=True, error_model="numpy")
-def _rays(mask, x, y, light_x, light_y, ratio, step, count, out):
-    """out (m,): sum_k ratio^(k-1) M(x + k step (l - x)), bilinear and clamped, k = 1..count."""
-    last_row, last_column = mask.shape[0] - 1.0, mask.shape[1] - 1.0
-    for i in range(x.shape[0]):
-        weight, total = 1.0, 0.0
-        for k in range(1, count + 1):
-            t = k * step
-            u = min(max(x[i] + t * (light_x - x[i]), 0.0), last_column)
-            v = min(max(y[i] + t * (light_y - y[i]), 0.0), last_row)
-            a, b = int(u), int(v)
-            c, d = min(a + 1, int(last_column)), min(b + 1, int(last_row))
-            p, q = u - a, v - b
-            top = (1 - p) * mask[b, a] + p * mask[b, c]
-            total += weight * ((1 - q) * top + q * ((1 - p) * mask[d, a] + p * mask[d, c]))
-            weight *= ratio
-        out[i] = total
 
 
 class Spacing(NamedTuple):
@@ -75,7 +55,7 @@ class _Scan:
         self.size = low
         # The pixel's own value: the sum with one tap at no distance.
         self.own = np.empty(len(self.x))
-        _rays(self.mask, self.x, self.y, 0.0, 0.0, 1.0, 0.0, 1, self.own)
+        ray_sums(self.mask, self.x, self.y, 0.0, 0.0, 1.0, 0.0, 1, self.own)
 
     def cost(self, taps: Spacing) -> float:
         """Sum of squares left, exposure and gain free."""
@@ -83,7 +63,7 @@ class _Scan:
         u, v = self.light
         rays = np.empty(len(self.x))
         ratio = math.exp(-self.kappa * taps.step)
-        _rays(
+        ray_sums(
             self.mask, self.x, self.y, u * w - 0.5, (1 - v) * h - 0.5, ratio, taps.step,
             taps.samples - self.drop, rays,
         )  # fmt: skip

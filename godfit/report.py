@@ -90,6 +90,11 @@ def summary(result: FitResult) -> str:
         f"{result.timing_s.get('solve', 0.0):.2f} s solving, "
         f"{result.timing_s.get('compile', 0.0):.2f} s compiling",
     ]
+    for name, e in result.params.items():
+        for kind, ends in (("profile", e.interval), ("posterior", e.posterior)):
+            if ends is not None:
+                low, high = ends
+                lines.append(f"  {name}: {low:.9g} to {high:.9g} (95%, {kind})")
     lines += [f"  note: {sentence}" for sentence in result.undetermined]
     lines += ["", f"  {'converged' if result.converged else 'not converged: ' + result.message}"]
     return "\n".join(lines)
@@ -111,6 +116,8 @@ def as_json(result: FitResult, command: str = "") -> dict[str, Any]:
                 "stderr": _finite(e.stderr),
                 "fixed": e.fixed,
                 "at_bound": e.at_bound,
+                **({"interval95": list(e.interval)} if e.interval else {}),
+                **({"posterior95": list(e.posterior)} if e.posterior else {}),
             }
             for name, e in result.params.items()
         },

@@ -17,7 +17,7 @@ from godfit import banding, screen, search
 from godfit.fitting import pixels_used
 from godfit.inference import misfit
 from godfit.models import AbstractModel, Mitchell
-from godfit.observation import Observation, Picture
+from godfit.observation import Observation
 from godfit.result import FitResult
 from godfit.search import Settled, Tangent
 from godfit.tinted import Tinted
@@ -150,8 +150,7 @@ class Ladder:
         )  # fmt: skip
         given = {k: v for k, v in below.values.items() if k not in ("exposure", "weight")}
         starts = [self._coordinates(two)]
-        starts += screen.starts(self.picture.small, two, given, keep=3, seed=self.seed)
-        starts += screen.starts(self.picture.small, two, {}, keep=2, seed=self.seed)
+        starts += screen.starts(self.picture.small, two, given, keep=2, seed=self.seed)
         extra = below.parameters - 1 - int(below.free.sum())
         rung = self._fitted("+ second light", "a second light", two, held, starts, climb=True)
         return dataclasses.replace(rung, parameters=rung.parameters + extra)

@@ -9,10 +9,14 @@ difference between two models is (Vuong, Econometrica 57 (1989), 307).
 from __future__ import annotations
 
 import dataclasses
+import io
+import json
 import math
+import os
 import time
 from collections.abc import Callable
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -21,15 +25,19 @@ import numpy as np
 from godfit import inputs, search
 from godfit.errors import InputError
 from godfit.fitting import fit
+from godfit.image import atomic_write
 from godfit.inputs import Source
 from godfit.likelihood import log_likelihood
 from godfit.models import Mitchell
-from godfit.observation import Observation
+from godfit.observation import LEVELS, Observation
 from godfit.result import FitResult
 from godfit.rungs import Ladder, Rung, like_noise
 from godfit.scene import Scene, read_scene
 from godfit.solver import solve_tangent
 from godfit.taps import CONVENTIONS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # A difference in a criterion that leaves the lesser model little support (Burnham & Anderson 2.6).
 CLEAR = 10.0
@@ -195,15 +203,15 @@ def _judged(rungs: list[Rung], seen: Observation, seed: int) -> tuple[list[Row],
         total = sizes[0].sum()
         rows.append(
             Row(
-                rung,
-                rmse,
-                cost + 2 * rung.parameters,
-                bic,
-                float(score.sum() / total),
-                float(behind.sum() / total),
-                error / float(total),
-                like_noise(rung, seen),
-            )  # fmt: skip
+                rung=rung,
+                rmse=rmse,
+                aic=cost + 2 * rung.parameters,
+                bic=bic,
+                held_out=float(score.sum() / total),
+                behind=float(behind.sum() / total),
+                behind_error=error / float(total),
+                like_noise=like_noise(rung, seen),
+            )
         )
     chosen = next(i for i, row in enumerate(rows) if i == best or _as_good(row, rows[best]))
     return rows, chosen
@@ -296,3 +304,108 @@ def _equivalent(rung: Rung, base: FitResult) -> dict[str, dict[str, float]]:
             **lights, "samples": float(samples),
         }  # fmt: skip
     return found
+
+
+def as_json(found: Selection, command: str = "") -> dict[str, Any]:
+    """The contents of select.json."""
+    from godfit.report import as_json as record
+
+    rows = [
+        {
+            "name": row.rung.name,
+            "params": row.rung.values,
+            "unknowns": row.rung.parameters,
+            "rmse_levels": row.rmse,
+            "noise_levels": row.rung.settled.sigma,
+            "log_likelihood": row.rung.settled.log_likelihood,
+            "aic": row.aic,
+            "bic": row.bic,
+            "held_out": row.held_out,
+            "held_out_behind": row.behind,
+            "held_out_behind_error": row.behind_error,
+            "like_noise": row.like_noise,
+        }
+        for row in found.rows
+    ]
+    return {
+        "schema": 1,
+        "recommended": found.recommended.rung.name,
+        "message": found.sentence,
+        "rows": rows,
+        "equivalent": found.equivalent,
+        "fit": record(found.base),
+        "hoffman_preetham": None if found.daylight is None else record(found.daylight),
+        "seconds": round(found.seconds, 4),
+        "command": command,
+    }
+
+
+def save(found: Selection, folder: str | os.PathLike[str], command: str = "") -> None:
+    """Write select.json and select.png; each appears whole or not at all. Raises OSError."""
+    figure = io.BytesIO()
+    plot(found).savefig(figure, format="png", dpi=100)
+    place = Path(folder)
+    place.mkdir(parents=True, exist_ok=True)
+    atomic_write(place / "select.png", figure.getvalue())
+    text = json.dumps(as_json(found, command), indent=1, ensure_ascii=False) + "\n"
+    atomic_write(place / "select.json", text.encode())
+
+
+def plot(found: Selection) -> Figure:
+    """The target, what every rung leaves of it, and what is left against the unknowns."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from godfit.report import worst_channel
+
+    picture, rows = found.base.picture, found.rows
+    count = len(rows) + 1
+    height, width = picture.size
+    tall = 2.4 * min(max(height / width, 0.3), 2.0)
+    figure = Figure(figsize=(2.4 * count, tall + 3.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    above, below = figure.subfigures(2, 1, height_ratios=[tall + 0.4, 2.6])
+    axes = above.subplots(1, count, squeeze=False)[0]
+    step = max(1, max(height, width) // 512)
+    target = np.clip(picture.levels / np.float32(LEVELS), 0, 1)
+    target = np.broadcast_to(target, (height, width, 3))
+    axes[0].imshow(target[::step, ::step])
+    axes[0].set_title("target", fontsize=9)
+    residuals = [_residual(row.rung, found.seen) for row in rows]
+    # The same colours for all: what the recommended one leaves must be seen as well.
+    limit = max(1.0, 3 * rows[found.chosen].rmse)
+    for i, (panel, row, left) in enumerate(zip(axes[1:], rows, residuals, strict=True)):
+        shown = panel.imshow(
+            worst_channel(left)[::step, ::step], cmap="RdBu_r", vmin=-limit, vmax=limit,
+            interpolation="nearest",
+        )  # fmt: skip
+        bold = "bold" if i == found.chosen else "normal"
+        panel.set_title(f"{row.rung.name}\n{row.rmse:.3g} levels rms", fontsize=9, weight=bold)
+    above.colorbar(shown, ax=list(axes[1:]), label="fitted - target, levels", shrink=0.9)
+    for panel in axes:
+        panel.set_xticks([])
+        panel.set_yticks([])
+    chart = below.add_subplot()
+    least = min(row.bic for row in rows)
+    ahead = [max(row.bic - least, 0.1) for row in rows]
+    names = [f"{row.rung.name}\n{row.rung.parameters} unknowns" for row in rows]
+    colours = ["tab:blue" if i == found.chosen else "silver" for i in range(len(rows))]
+    chart.bar(names, ahead, color=colours, bottom=0.05)
+    chart.axhline(CLEAR, color="black", lw=0.8, ls="--")
+    chart.set_yscale("log")
+    chart.set_ylabel("BIC above the least", fontsize=9)
+    chart.tick_params(labelsize=8)
+    chart.set_title(found.sentence, fontsize=9, wrap=True)
+    return figure
+
+
+def _residual(rung: Rung, seen: Observation) -> np.ndarray:
+    """(h, w) or (h, w, 3) fitted less target, 0 where the target is clipped, NaN where ignored."""
+    lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
+    known = np.isfinite(lo) & np.isfinite(hi)
+    middle = (np.where(known, lo, 0) + np.where(known, hi, 0)) / 2
+    left = np.where(known, rung.tangent.prediction - middle, 0).reshape(-1, seen.channels)
+    whole = np.full((seen.size[0] * seen.size[1], seen.channels), np.nan, np.float32)
+    whole[np.asarray(seen.pixels)] = left
+    whole = whole.reshape(*seen.size, seen.channels)
+    return whole if seen.channels == 3 else whole[..., 0]
