@@ -47,7 +47,8 @@ def attempt(seed: int, tolerance: float | None, by: str, size: int) -> tuple[Sim
     numbers = [truth[k] for k in ("exposure", "decay", "density", "weight")]
     light = [truth["light_x"], truth["light_y"]]
     with jax.enable_x64(False):
-        model = Mitchell(*numbers, light, "dawntime", int(truth["samples"]))
+        exposure, decay, density, weight = numbers
+        model = Mitchell(exposure, decay, density, weight, light, "dawntime", int(truth["samples"]))
         values = (mask / 255).astype(np.float32)
         found = simplify(model, values, tolerance, by=by)
     h, w = (max(1, round(n * found.scale)) for n in mask.shape)

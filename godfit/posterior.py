@@ -127,7 +127,7 @@ def _posterior(result: FitResult, draws: int, warm_up: int, seed: int) -> Poster
     def chain(state, key):
         def one(state, key):
             state, info = step(key, state)
-            return state, (state.position, info.is_divergent)
+            return state, (state.position, info.is_divergent)  # pyright: ignore
 
         return jax.lax.scan(one, state, jax.random.split(key, draws))[1]
 

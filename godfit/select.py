@@ -364,7 +364,7 @@ def plot(found: Selection) -> Figure:
     tall = 2.4 * min(max(height / width, 0.3), 2.0)
     figure = Figure(figsize=(2.4 * count, tall + 3.0), layout="constrained")
     FigureCanvasAgg(figure)
-    above, below = figure.subfigures(2, 1, height_ratios=[tall + 0.4, 2.6])
+    above, below = figure.subfigures(2, 1, height_ratios=[tall + 0.4, 2.6])  # pyright: ignore
     axes = above.subplots(1, count, squeeze=False)[0]
     step = max(1, max(height, width) // 512)
     target = np.clip(picture.levels / np.float32(LEVELS), 0, 1)
