@@ -4,12 +4,14 @@
 
 Targets are marched (``godfit.volume``): a sun over a box between the camera and the horizon, over
 turbidity, the sun's elevation, g, optical depth and the size of the box; 96x96 bytes, exposed so
-that the brightest channel's 98th percentile is 230 levels. Mitchell is given what a shader would
-have: a bright disc on a dim sky, in the picture's mean colour, behind the black box.
-Hoffman-Preetham is given where the sky is seen and how far things are. The light is free for both.
+that the brightest channel's 98th percentile is 230 levels. Mitchell is given what shaders have, in
+the picture's mean colour and behind the black box: a bright disc on a dim sky, and a sky that is
+bright all over; the better of the two counts. Hoffman-Preetham is given where the sky is seen and
+how far things are. The light is free for both.
 
 Printed: how often each is within 1, 2 and 4 levels rms, how Mitchell's kappa follows the optical
-depth and its gain E_sun beta/beta_ex, and two pictures that neither can show.
+depth and its gain E_sun beta/beta_ex, whether `godfit compare` names the model that the map has
+ahead, and two pictures that neither can show.
 """
 
 from __future__ import annotations
@@ -24,8 +26,9 @@ import jax.numpy as jnp
 import numpy as np
 import scenes
 
-from godfit import InputError, fit, rasterise
+from godfit import FitResult, InputError, fit, rasterise
 from godfit.atmosphere import Air
+from godfit.compare import compare
 from godfit.inputs import view_of
 from godfit.scene import Scene, read_scene
 from godfit.volume import render
@@ -39,6 +42,10 @@ AXES = {
     "g": (0.3, 0.76, 0.9),
 }
 LEVELS = (1.0, 2.0, 4.0)
+# Targets that are put to `compare`.
+COMPARED = 12
+# Of a sky under a bright disc (DawnTime's), and of one that is bright itself.
+SKIES = (0.07, 1.0)
 MODELS = ("mitchell", "hoffman-preetham")
 
 
@@ -84,8 +91,8 @@ def target_of(scene: Scene, air: Air) -> tuple[np.ndarray, float]:
     return scenes.to_bytes(image * exposure), exposure
 
 
-def shader_mask(scene: Scene, target: np.ndarray) -> np.ndarray:
-    """Disc and dim sky (DawnTime's share) in the target's mean colour, as bytes."""
+def shader_mask(scene: Scene, target: np.ndarray, sky: float) -> np.ndarray:
+    """Disc and sky, of so much of it, in the target's mean colour, as bytes."""
     colour = target.reshape(-1, 3).mean(0)
     colour = colour / colour.max()
 
@@ -96,15 +103,24 @@ def shader_mask(scene: Scene, target: np.ndarray) -> np.ndarray:
     # The disc is far beyond the camera's reach in this air; a shader draws it all the same.
     camera = dataclasses.replace(scene.camera, far=1e6)
     light = dataclasses.replace(scene.light, colour=dimmed(1.0))
-    drawn = dataclasses.replace(scene, camera=camera, light=light, background=dimmed(0.07))
+    drawn = dataclasses.replace(scene, camera=camera, light=light, background=dimmed(sky))
     return np.round(255 * np.asarray(rasterise(drawn))).astype(np.uint8)
+
+
+def both(scene: Scene, target: np.ndarray) -> tuple[FitResult, FitResult]:
+    """Mitchell with the mask that suits it, and Hoffman and Preetham."""
+    sums = [
+        fit(target, mask=shader_mask(scene, target, sky), shader="mitchell", samples=100)
+        for sky in SKIES
+    ]
+    day = fit(target, scene=scene, model="hoffman-preetham", samples=100)
+    return min(sums, key=lambda found: found.rmse_levels), day
 
 
 def case(setting: dict[str, float], folder: Path) -> Case:
     scene, air = stage(folder, setting), air_for(setting)
     target, exposure = target_of(scene, air)
-    sum_ = fit(target, mask=shader_mask(scene, target), shader="mitchell", samples=100)
-    day = fit(target, scene=scene, model="hoffman-preetham", samples=100)
+    sum_, day = both(scene, target)
     _, kappa, _, gain, *_ = np.asarray(sum_.model.coordinates())
     # Towards the middle of the frame, in green.
     ahead = np.cos(np.radians(setting["elevation"]))
@@ -119,6 +135,18 @@ def case(setting: dict[str, float], folder: Path) -> Case:
     )
 
 
+def agreement(found: list[Case], folder: Path) -> None:
+    """Whether `compare`, given the scene alone, names the model that the map has ahead."""
+    chosen = found[:: max(1, len(found) // COMPARED)][:COMPARED]
+    agreed = 0
+    for one in chosen:
+        scene = stage(folder, one.setting)
+        target, _ = target_of(scene, air_for(one.setting))
+        best = compare(target, scene=scene, shader="mitchell", samples=100).best
+        agreed += best.result.model.name == min(one.rms, key=lambda model: one.rms[model])
+    print(f"compare names the model that the map has ahead in {agreed} of {len(chosen)}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--quick", action="store_true", help="the ends of every axis alone")
@@ -130,6 +158,7 @@ def main() -> None:
         for values in itertools.product(*axes.values()):
             found.append(case(dict(zip(axes, values, strict=True)), Path(name)))
         report(found)
+        agreement(found, Path(name))
         beyond(Path(name))
     if options.figure:
         draw(found, axes, options.figure)
@@ -162,11 +191,7 @@ def beyond(folder: Path) -> None:
     for name, x in (("an occluder in the frame", 0.4), ("the same outside it", 5.6)):
         scene, air = stage(folder, setting, x), air_for(setting)
         target, _ = target_of(scene, air)
-        mask = shader_mask(scene, target)
-        rms = (
-            fit(target, mask=mask, shader="mitchell", samples=100).rmse_levels,
-            fit(target, scene=scene, model="hoffman-preetham", samples=100).rmse_levels,
-        )
+        rms = [found.rmse_levels for found in both(scene, target)]
         print(f"  {name}: mitchell {rms[0]:.2f}, hoffman-preetham {rms[1]:.2f} levels rms")
     try:
         stage(folder, setting | {"elevation": 115.0})

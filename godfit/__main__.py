@@ -15,7 +15,9 @@ from godfit.commands.fit import fit
 from godfit.commands.mask import mask
 from godfit.commands.progress import Progress
 from godfit.commands.render import render
+from godfit.commands.select import select
 from godfit.commands.shaders import shaders
+from godfit.commands.simplify import simplify
 from godfit.errors import InputError
 
 INTERRUPTED = 130
@@ -27,7 +29,7 @@ def cli() -> None:
     """Read the parameters of god rays out of images."""
 
 
-for command in (fit, compare, render, mask, shaders):
+for command in (fit, compare, select, simplify, render, mask, shaders):
     cli.add_command(command)
 
 

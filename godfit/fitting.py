@@ -221,7 +221,7 @@ def _fit(
         picture = agreed(picture, scene, model, begun, free, held, seed)
     found = _look(picture, model, given, free, held, opened, seed, say)
     timing = {"compile": compile_seconds() - compiled, "solve": time.perf_counter() - began}
-    return verdict(found, used, notes, files, timing)
+    return verdict(found, used, notes, files, timing, seed)
 
 
 def _look(
@@ -246,7 +246,7 @@ def _look(
         candidates = [climbed.coordinates]
     if free.any() and model.banded:
         candidates = dips.on_subset(picture, model, candidates[0], free, held, seed, say)
-    seen = picture.observe(_pixels(picture, seed))
+    seen = picture.observe(pixels_used(picture, seed))
     say(f"all {len(seen.pixels):,} pixels")
     settled, tangent = max(
         (search.settle(z, model, seen, free, held) for z in candidates),
@@ -338,7 +338,7 @@ def _hold_open(found: Found, given: dict[str, float]) -> Found:
     )
 
 
-def _pixels(picture: Picture, seed: int) -> np.ndarray:
+def pixels_used(picture: Picture, seed: int) -> np.ndarray:
     """All valid pixels, or those of rows drawn at random where there are too many."""
     valid = picture.valid
     rows = max(1, MAX_VALUES // (valid.shape[1] * picture.channels))

@@ -256,6 +256,15 @@ class Mitchell(AbstractModel):
         **Returns:** (H, W) or (n,), then the channels of the mask or the background.
         """
         light = at_pixels(functools.partial(self.light_pass, method=method), mask, size, pixels)
+        return self.composite(light, background, pixels)
+
+    def composite(
+        self,
+        light: Float[Array, "..."],
+        background: Float[Array, "..."] | None,
+        pixels: Int[Array, " n"] | None,
+    ) -> Float[Array, "..."]:
+        """The light pass at ``pixels``, or at all, on the background; see ``__call__``."""
         if background is None:
             return light
         if pixels is not None:

@@ -94,6 +94,11 @@ def summary(result: FitResult) -> str:
         lines.append(f"  correlated: worth {result.pixels_effective:,.0f} independent pixels")
     if result.starts_agreed is not None:
         lines.append("  {} of {} starts agreed".format(*result.starts_agreed))
+    for name, e in result.params.items():
+        for kind, ends in (("profile", e.interval), ("posterior", e.posterior)):
+            if ends is not None:
+                low, high = ends
+                lines.append(f"  {name}: {low:.9g} to {high:.9g} (95%, {kind})")
     lines += [f"  note: {sentence}" for sentence in result.undetermined]
     lines += [f"  warning: {sentence}" for sentence in result.warnings]
     lines += ["", f"  {'converged' if result.converged else 'not converged: ' + result.message}"]
@@ -116,6 +121,8 @@ def as_json(result: FitResult, command: str = "") -> dict[str, Any]:
                 "stderr": _finite(e.stderr),
                 "fixed": e.fixed,
                 "at_bound": e.at_bound,
+                **({"interval95": list(e.interval)} if e.interval else {}),
+                **({"posterior95": list(e.posterior)} if e.posterior else {}),
             }
             for name, e in result.params.items()
         },
@@ -129,6 +136,9 @@ def as_json(result: FitResult, command: str = "") -> dict[str, Any]:
         "residual_correlation": _finite(result.residual_correlation),
         "residual_tails": _finite(result.residual_tails),
         "log_likelihood": _finite(result.log_likelihood),
+        "size": list(result.picture.size[::-1]),
+        "pass_size": list(result.picture.mask.shape[1::-1]),
+        "transfer": result.picture.transfer,
         "pixels": result.pixels,
         "pixels_effective": round(result.pixels_effective, 1),
         "starts_agreed": result.starts_agreed,

@@ -19,12 +19,16 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """A parameter's value; ``stderr`` is None where it is fixed or cannot be known."""
+    """A parameter's value; ``stderr`` is None where it is fixed or cannot be known. ``interval``
+    is the 95% interval of its profile likelihood, ``posterior`` the middle 95% of the posterior,
+    where these were asked for."""
 
     value: float
     stderr: float | None
     fixed: bool = False
     at_bound: bool = False
+    interval: tuple[float, float] | None = None
+    posterior: tuple[float, float] | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -61,6 +65,10 @@ class FitResult:
     log_likelihood: float
     timing_s: dict[str, float]
     picture: Picture
+    # By coordinate: which moved, and where the rest of the parameters were held (NaN if free).
+    free: np.ndarray
+    held: np.ndarray
+    seed: int = 0
     starts_agreed: tuple[int, int] | None = None
     inputs: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
 

@@ -199,11 +199,11 @@ def _in_rounds(start, model, seen, free, held, rounds) -> tuple[Settled, Tangent
     part = 1.0
     short = SHORT if model.banded else SHORT_WITHOUT
     for _ in range(rounds):
-        aim, there = _aim(best, tangent, model, seen, free)
-        if aim.log_likelihood < best.log_likelihood + short:
+        goal, there = aim(best, tangent, model, seen, free)
+        if goal.log_likelihood < best.log_likelihood + short:
             # So short a step that the tangent is as good as another rendering.
-            return aim, there
-        z = best.coordinates + np.float32(part) * (aim.coordinates - best.coordinates)
+            return goal, there
+        z = best.coordinates + np.float32(part) * (goal.coordinates - best.coordinates)
         there = render(z)
         sigma, likelihood = best_sigma(there.prediction, seen)
         gained = likelihood - best.log_likelihood
@@ -221,7 +221,7 @@ def _in_rounds(start, model, seen, free, held, rounds) -> tuple[Settled, Tangent
     return best, tangent
 
 
-def _aim(
+def aim(
     at: Settled, tangent: Tangent, model: AbstractModel, seen: Observation, free: np.ndarray
 ) -> tuple[Settled, Tangent]:
     """Where the tangent's likelihood is largest, with the tangent taken there."""

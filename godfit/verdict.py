@@ -40,8 +40,10 @@ def verdict(
     notes: tuple[str, ...],
     files: dict[str, dict[str, str]],
     timing: dict[str, float],
+    seed: int = 0,
 ) -> FitResult:
-    """The result; ``used`` (p,) says which parameters the shader has."""
+    """The result; ``used`` (p,) says which parameters the shader has, ``seed`` how pixels were
+    chosen."""
     model, picture, seen = found.model, found.picture, found.seen
     settled, at, free, held = found.settled, found.at, found.free, found.held
     open_, pixels = found.opened, np.asarray(found.seen.pixels)
@@ -111,6 +113,9 @@ def verdict(
         log_likelihood=settled.log_likelihood,
         timing_s=timing | {"solve": timing["solve"] - timing["compile"]},
         picture=picture,
+        free=free,
+        held=held_at(held, opened, values),
+        seed=seed,
         starts_agreed=found.starts_agreed,
         inputs=files,
     )
@@ -142,6 +147,11 @@ def _correlated(
             likely = [diagnostics.Suspect(1.0, "transfer", words)]
         suspects += diagnostics.named(likely)
     return covariance, growth, suspects
+
+
+def held_at(held: np.ndarray, opened: list[int], values: np.ndarray) -> np.ndarray:
+    """(p,) where parameters are held, those that are open where they were left; NaN if free."""
+    return np.where(np.isin(np.arange(len(held)), opened), values, held).astype(np.float32)
 
 
 @eqx.filter_jit

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -20,6 +20,10 @@ from godfit.commands.study import (
     written,
 )
 
+if TYPE_CHECKING:
+    from godfit.commands.progress import Progress
+    from godfit.result import FitResult
+
 
 @click.command()
 @click.argument("target")
@@ -29,12 +33,16 @@ from godfit.commands.study import (
 @click.option("--lights", type=int, help="Number of lights. [default: 1]")
 @click.option("--fix", multiple=True, metavar="NAME[=VALUE]", help="Hold a parameter.")
 @click.option("--start", multiple=True, metavar="NAME=VALUE", help="Start a parameter here.")
+@click.option("--profile", multiple=True, metavar="NAME", help="95% interval of the likelihood.")
+@click.option("--posterior", is_flag=True, help="95% intervals of the posterior (blackjax).")
 @RESULT
 def fit(
     target: str,
     free: tuple[str, ...],
     fix: tuple[str, ...],
     start: tuple[str, ...],
+    profile: tuple[str, ...],
+    posterior: bool,
     ignore: tuple[str, ...],
     output: str | None,
     as_json: bool,
@@ -60,15 +68,22 @@ def fit(
         raise click.UsageError(f"--free {free[0]}: expected --scene SCENE.toml with it, got a mask")
     with working(quiet, verbose) as progress:
         from godfit.fitting import fit as run
+        from godfit.posterior import require
         from godfit.report import as_json as record
         from godfit.report import save
 
+        if posterior:
+            require()
         imported = time.perf_counter() - STARTED
+        file = study.options.get("scene")
         made_ready(study.options, quiet, progress)
         result = run(
             study.image, free=free, fix=fixed, start=started, valid=study.valid, seed=seed,
             progress=progress, **study.options,
         )  # fmt: skip
+        result = with_intervals(result, profile, posterior, seed, progress)
+        if file is not None:
+            result.inputs["scene"] = {"path": file}
         result.timing_s["import"] = imported
         result.timing_s["total"] = time.perf_counter() - STARTED
         progress("drawing")
@@ -82,6 +97,24 @@ def fit(
         quiet=quiet,
     )
     return 0 if result.converged else NOT_CONVERGED
+
+
+def with_intervals(
+    result: FitResult, names: tuple[str, ...], posterior: bool, seed: int, progress: Progress
+) -> FitResult:
+    """The result with the intervals that were asked for."""
+    from godfit import posterior as drawing
+    from godfit.profile import check, profile
+
+    for name in names:
+        check(result, name)
+    for name in names:
+        progress(f"profile of {name}")
+        result = profile(result, name)
+    if posterior:
+        progress("posterior")
+        result = drawing.with_posterior(result, drawing.posterior(result, seed=seed))
+    return result
 
 
 def only_one(options: dict[str, Any], given: Mapping[str, Any]) -> None:

@@ -130,19 +130,21 @@ def concluded(
     notes: Iterable[str],
     record: dict[str, Any],
     summary: str,
-    files: str,
+    files: str | None,
     *,
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Print warnings, and the record or the summary with the files that were written."""
+    """Print warnings, and the record, or the summary with the files that were written."""
     if not quiet:
         for note in dict.fromkeys(notes):
             warn(note)
     if as_json:
         click.echo(json.dumps(record, indent=1, ensure_ascii=False))
     else:
-        click.echo(f"{summary}\n\n  {files}")
+        click.echo(summary)
+        if files is not None:
+            click.echo(f"\n  {files}")
 
 
 def written(folder: Path, *names: str) -> str:

@@ -1,0 +1,102 @@
+"""Does `godfit select` find the rung that a picture was made on?
+
+    python experiments/selection.py [--targets N] [--noise LEVELS ...] [--size PIXELS]
+
+Targets are drawn from the ladder in turn: a veil, the shader's defaults, another light, another
+attenuation, density, weight, number of samples, a second light, a colour; everything above the rung
+is as the rung holds it. They are rendered in float64 by other code than the fit's, with noise, and
+rounded to bytes. Prints how often the rung was found, and the confusions; exit status 1 if one
+above the truth was chosen where the truth leaves as little noise.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+
+import jax
+import numpy as np
+import scenes
+
+from godfit.select import select
+
+SHADER, SAMPLES = "dawntime", 100
+DEFAULTS = {"decay": 0.99, "density": 0.8, "weight": 0.8, "light_x": 0.5, "light_y": 0.5}
+RUNGS = (
+    "veil", "shader defaults", "+ light", "+ attenuation", "+ density", "+ own pixel",
+    "+ samples", "+ second light", "+ colour",
+)  # fmt: skip
+OTHER_SAMPLES = (40, 64, 140)
+
+
+def draw(seed: int, rung: str, size: int):
+    """(mask as bytes, image unclamped) of a truth on ``rung``."""
+    rng = np.random.default_rng([seed, RUNGS.index(rung)])
+    level = RUNGS.index(rung)
+    truth = dict(DEFAULTS) | {"samples": SAMPLES, "exposure": 1.0}
+    if level >= 2:
+        truth |= {"light_x": float(rng.uniform(0.1, 0.9)), "light_y": float(rng.uniform(0.1, 0.9))}
+    if level >= 3:
+        truth["decay"] = float(rng.choice([rng.uniform(0.95, 0.985), rng.uniform(0.993, 0.999)]))
+    if level >= 4:
+        truth["density"] = float(rng.choice([rng.uniform(0.4, 0.75), rng.uniform(0.85, 1)]))
+    if level >= 5:
+        truth["weight"] = float(rng.choice([rng.uniform(0.2, 0.6), rng.uniform(1, 1.5)]))
+    if rung == "+ samples":
+        truth["samples"] = int(rng.choice(OTHER_SAMPLES))
+    kind = list(scenes.MASKS)[int(rng.integers(len(scenes.MASKS)))]
+    light = np.array([truth["light_x"], truth["light_y"]])
+    mask = np.floor(scenes.MASKS[kind](rng, size, light) * 255 + 0.5).clip(0, 255).astype(np.uint8)
+    if rung == "veil":
+        return mask, np.full((size, size), rng.uniform(0.05, 0.9))
+    image = scenes.render64(mask / 255, truth)
+    if rung == "+ second light":
+        away = rng.uniform(0.25, 0.5) * np.array([np.cos(t := rng.uniform(0, 6.3)), np.sin(t)])
+        other = np.clip(light + away, 0, 1)
+        second = truth | {"light_x": float(other[0]), "light_y": float(other[1])}
+        image = image + scenes.render64(mask / 255, second)
+    image = image * (rng.uniform(0.7, 1.1) / np.quantile(image, 0.98))
+    if rung == "+ colour":
+        image = image[..., None] * rng.uniform(0.4, 1, 3)
+    return mask, image
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--targets", type=int, default=100)
+    parser.add_argument("--noise", type=float, nargs="+", default=[0.0, 1.0])
+    parser.add_argument("--size", type=int, default=128)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    above = 0
+    for noise in options.noise:
+        right, seconds = 0, []
+        for i in range(options.targets):
+            seed, rung = options.seed + i, RUNGS[i % len(RUNGS)]
+            mask, image = draw(seed, rung, options.size)
+            target = scenes.to_bytes(image, noise, seed)
+            began = time.perf_counter()
+            found = select(target, mask=mask, shader=SHADER, samples=SAMPLES)
+            seconds.append(time.perf_counter() - began)
+            got = found.recommended.rung.name
+            right += got == rung
+            if got != rung:
+                names = [row.rung.name for row in found.rows]
+                twin = rung in names and names.index(rung) < found.chosen
+                noises = {r.rung.name: r.rung.settled.sigma for r in found.rows}
+                above += twin and noises[rung] <= noises[got]
+                print(f"  seed {seed}: {rung} was taken for {got} {noises}", flush=True)
+            if i % 12 == 11:
+                jax.clear_caches()
+        print(
+            f"noise of {noise:g} levels: {right} of {options.targets} on their rung; "
+            f"median {np.median(seconds):.1f} s at {options.size}x{options.size}",
+            flush=True,
+        )
+    print(f"{above} above the truth though it leaves as little noise")
+    sys.exit(above > 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,109 @@
+"""Which number of samples made a picture? Its taps leave bands, as far apart as they are.
+
+The number is an integer that nothing can be differentiated by, so it is scanned: a few hundred
+pixels for every number and the densities about the one that goes with it, exposure and gain solved
+for exactly (variable projection), then more pixels for the best few.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from godfit.models import Mitchell
+from godfit.observation import LEVELS, Picture, grey
+from godfit.ray_sums import ray_sums
+from godfit.simplify import resampled
+
+FEW, MORE, KEEP = 192, 4096, 12
+LEAST, MOST = 8, 320
+# Densities that are tried for a number, in distances between two taps.
+OFFSETS = np.linspace(-1, 1, 9)
+# Gain in log-likelihood of MORE values below which no other number is worth a fit.
+WORTH = 8.0
+
+
+class Spacing(NamedTuple):
+    """A number of samples and the distance between two taps, of the ray."""
+
+    samples: int
+    step: float
+
+
+class _Scan:
+    """Costs of spacings at ``count`` pixels that are not clipped, all else as in ``model``."""
+
+    def __init__(self, model: Mitchell, picture: Picture, count: int, seed: int) -> None:
+        decay, density = float(model.decay), float(model.density)
+        self.kappa = -model.samples * math.log(max(decay, 1e-12)) / density
+        self.drop, self.shows_own = model.convention.drop, model.convention.own_pixel
+        u, v = (float(z) for z in np.asarray(model.light)[0])
+        self.light = u, v
+        pixels = picture.informative(count, seed)
+        pixels = pixels[~picture.clipped.reshape(-1)[pixels]]
+        h, w = picture.size
+        low = picture.mask.shape
+        self.mask = np.ascontiguousarray(grey(picture.mask), np.float64)
+        self.x = (pixels % w + 0.5) * low[1] / w - 0.5
+        self.y = (pixels // w + 0.5) * low[0] / h - 0.5
+        levels = picture.levels.reshape(-1, picture.channels)[pixels].mean(-1)
+        self.target = levels.astype(np.float64) / LEVELS
+        self.size = low
+        # The pixel's own value: the sum with one tap at no distance.
+        self.own = np.empty(len(self.x))
+        ray_sums(self.mask, self.x, self.y, 0.0, 0.0, 1.0, 0.0, 1, self.own)
+
+    def cost(self, taps: Spacing) -> float:
+        """Sum of squares left, exposure and gain free."""
+        h, w = self.size[:2]
+        u, v = self.light
+        rays = np.empty(len(self.x))
+        ratio = math.exp(-self.kappa * taps.step)
+        ray_sums(
+            self.mask, self.x, self.y, u * w - 0.5, (1 - v) * h - 0.5, ratio, taps.step,
+            taps.samples - self.drop, rays,
+        )  # fmt: skip
+        columns = np.stack([self.own, rays] if self.shows_own else [rays])
+        gram = columns @ columns.T
+        gram += 1e-12 * np.trace(gram) * np.eye(len(columns))
+        best = np.linalg.solve(gram, columns @ self.target)
+        return float(((self.target - best @ columns) ** 2).sum())
+
+
+def other_samples(model: Mitchell, picture: Picture, seed: int = 0) -> Mitchell | None:
+    """``model`` with the number of samples that suits the picture best, or None where no other is
+    better than its own by more than noise would make it. Of one light and no background."""
+    if picture.background is not None or picture.transfer != "none" or model.convention.box:
+        return None
+    if model.light.shape[0] != 1:
+        return None
+    few, more = _Scan(model, picture, FEW, seed), _Scan(model, picture, MORE, seed)
+    tried = [taps for n in range(LEAST, MOST + 1) for taps in _about(model, n)]
+    tried.sort(key=few.cost)
+    own = min(more.cost(taps) for taps in _about(model, model.samples))
+    best = min(tried[:KEEP], key=more.cost)
+    # Rounding is noise as well.
+    floor = len(more.x) / 12 / LEVELS**2
+    gain = 0.5 * len(more.x) * math.log(max(own, floor) / max(more.cost(best), floor))
+    if gain < WORTH or best.samples == model.samples:
+        return None
+    other = resampled(model, best.samples)
+    density = best.step * best.samples
+    decay = math.exp(-few.kappa * best.step)
+    return eqx.tree_at(
+        lambda m: (m.density, m.decay), other, (jnp.float32(density), jnp.float32(decay))
+    )
+
+
+def _about(model: Mitchell, samples: int) -> list[Spacing]:
+    """Spacings for a number of samples about the one whose rays end where the model's do: half a
+    step beyond the last tap."""
+    drop = model.convention.drop
+    end = float(model.density) / model.samples * (model.samples - drop + 0.5)
+    step = end / (samples - drop + 0.5)
+    steps = np.minimum(step * (1 + OFFSETS / samples), 1 / samples)
+    return [Spacing(samples, float(s)) for s in np.unique(steps)]
