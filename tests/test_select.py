@@ -5,6 +5,7 @@ import sys
 from itertools import pairwise
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -26,7 +27,9 @@ def chosen(rung, noise, seed=2, size=64):
     return select(target, mask=mask, shader=selection.SHADER, samples=selection.SAMPLES), target
 
 
-@pytest.mark.parametrize(("rung", "noise"), [("+ light", 0.0), ("+ attenuation", 1.0)])
+@pytest.mark.parametrize(
+    ("rung", "noise"), [("veil", 1.0), ("+ light", 0.0), ("+ attenuation", 1.0), ("+ colour", 1.0)]
+)
 def test_rung_is_found(rung, noise):
     found, _ = chosen(rung, noise)
     assert found.recommended.rung.name == rung
@@ -60,7 +63,7 @@ def test_shaders_that_draw_the_same_picture_are_one(whole):
     for shader, values in found.equivalent.items():
         light = [values["light_x"], values["light_y"]]
         model = Mitchell(*(values[n] for n in numbers), light, shader, int(values["samples"]))
-        image = np.clip(np.asarray(model(mask / 255)), 0, 1)
+        image = np.clip(np.asarray(model(jnp.asarray(mask / 255))), 0, 1)
         np.testing.assert_allclose(255 * image, target, atol=0.51)
 
 
