@@ -10,10 +10,9 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from godfit import projection, visibility
-from godfit.cache import numba_keeps
+from godfit.native import compiled
 from godfit.scene import Scene
 
 Source = Literal["sun", "lamp"]
@@ -79,7 +78,7 @@ def shadows(scene: Scene, source: Source, resolution: int) -> Shadows:
     return Shadows(position, axes, q, focal)
 
 
-@njit(cache=numba_keeps(), nogil=True, error_model="numpy")
+@compiled
 def _is_lit(x, y, z, position, axes, q, focal):
     x, y, z = x - position[0], y - position[1], z - position[2]
     n = q.shape[1]
@@ -96,13 +95,23 @@ def _is_lit(x, y, z, position, axes, q, focal):
     return True
 
 
-@njit(cache=numba_keeps(), nogil=True, error_model="numpy")
+@compiled
 def _lit_shares(
     origin, direction, begin, end, passed, apart, lamp, position, axes, q, focal, first, last, lit
 ):
     """Fill lit (steps, n) for rays first to last: u runs from begin to end in even steps, and the
     point is u along the ray, or for a lamp passed + apart tan(u)."""
     steps = lit.shape[0]
+
+    def seen(i, u):
+        s = passed[i] + apart[i] * np.tan(u) if lamp else u
+        x, y, z = (
+            origin[0] + s * direction[i, 0],
+            origin[1] + s * direction[i, 1],
+            origin[2] + s * direction[i, 2],
+        )
+        return _is_lit(x, y, z, position, axes, q, focal)
+
     for i in range(first, last):
         width = (end[i] - begin[i]) / steps
         before = False
@@ -110,34 +119,14 @@ def _lit_shares(
             here = False
             if k < steps:
                 middle = begin[i] + (k + 0.5) * width
-                s = passed[i] + apart[i] * np.tan(middle) if lamp else middle
-                here = _is_lit(
-                    origin[0] + s * direction[i, 0],
-                    origin[1] + s * direction[i, 1],
-                    origin[2] + s * direction[i, 2],
-                    position,
-                    axes,
-                    q,
-                    focal,
-                )
+                here = seen(i, middle)
                 lit[k, i] = 1.0 if here else 0.0
             if 0 < k < steps and here != before:
                 # In steps from the middle of the one before.
                 low, high = 0.0, 1.0
                 for _ in range(HALVINGS):
                     part = 0.5 * (low + high)
-                    u = middle + (part - 1.0) * width
-                    s = passed[i] + apart[i] * np.tan(u) if lamp else u
-                    there = _is_lit(
-                        origin[0] + s * direction[i, 0],
-                        origin[1] + s * direction[i, 1],
-                        origin[2] + s * direction[i, 2],
-                        position,
-                        axes,
-                        q,
-                        focal,
-                    )
-                    if there == before:
+                    if seen(i, middle + (part - 1.0) * width) == before:
                         low = part
                     else:
                         high = part

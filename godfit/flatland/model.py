@@ -102,7 +102,9 @@ class Flatland(AbstractModel):
 
     def values(self) -> dict[str, Float[Array, ""]]:
         sky = self.sky
-        numbers = (self.exposure, sky.angle, sky.width, *sky.sun, *sky.sky)
+        # An angle has gone round where the search went there the other way.
+        angle = jnp.mod(sky.angle, 360.0)
+        numbers = (self.exposure, angle, sky.width, *sky.sun, *sky.sky)
         return dict(zip(self.parameters, numbers, strict=True))
 
     def coordinates(self) -> Float[Array, " p"]:
