@@ -10,7 +10,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
 import flatland
-import peers
+import peer_fits as peers
 import scaling
 
 from godfit import radial
