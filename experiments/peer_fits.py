@@ -1,4 +1,4 @@
-"""The ways in which ``peers.py`` has the same fit done, each written as its users would write it."""
+"""The ways in which ``peers.py`` has the same fit done, each as its users would write it."""
 
 from __future__ import annotations
 

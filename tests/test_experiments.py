@@ -10,7 +10,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
 import flatland
-import peer_fits as peers
+import peer_fits
+import peers
 import scaling
 
 from godfit import radial
@@ -25,12 +26,12 @@ def mask():
 
 @pytest.fixture
 def expected(mask):
-    return np.asarray(peers.godfit_forward(mask, SAMPLES, "reference")(peers.TRUTH))
+    return np.asarray(peer_fits.godfit_forward(mask, SAMPLES, "reference")(peer_fits.TRUTH))
 
 
-@pytest.mark.parametrize("forward", [peers.scipy_forward, peers.numba_forward])
+@pytest.mark.parametrize("forward", [peer_fits.scipy_forward, peer_fits.numba_forward])
 def test_peers_in_float64(forward, mask, expected):
-    np.testing.assert_allclose(forward(mask, SAMPLES)(peers.TRUTH), expected, atol=1e-14)
+    np.testing.assert_allclose(forward(mask, SAMPLES)(peer_fits.TRUTH), expected, atol=1e-14)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch is not installed")
@@ -38,25 +39,25 @@ def test_peers_in_float64(forward, mask, expected):
 def test_torch(mask, expected, chunk):
     import torch
 
-    found = peers.torch_forward(mask, SAMPLES, chunk)(torch.tensor(peers.TRUTH).float())
+    found = peer_fits.torch_forward(mask, SAMPLES, chunk)(torch.tensor(peer_fits.TRUTH).float())
     np.testing.assert_allclose(found.numpy(), expected, atol=1e-6)
 
 
 def test_watch_stops_at_the_first_point_that_is_near_enough():
-    watch = peers.Watch(tolerance=1e-3, budget=60.0)
-    watch(peers.START)
+    watch = peer_fits.Watch(tolerance=1e-3, budget=60.0)
+    watch(peer_fits.START)
     assert watch.evaluations == 1
-    with pytest.raises(peers.Arrived):
-        watch(peers.TRUTH + 1e-3 * peers.UNITS / 2)
+    with pytest.raises(peer_fits.Arrived):
+        watch(peer_fits.TRUTH + 1e-3 * peer_fits.UNITS / 2)
     assert watch.error == pytest.approx(5e-4)
 
 
 def test_least_squares_recovers(mask):
-    truth = dict(zip(peers.NAMES, peers.TRUTH, strict=True)) | {"samples": 150}
+    truth = dict(zip(peer_fits.NAMES, peer_fits.TRUTH, strict=True)) | {"samples": 150}
     target = np.floor(peers.scenes.render64(mask, truth) * 255 + 0.5).astype(np.uint8)
-    problem = peers.Problem(mask, target, 150)
-    forward = peers.numba_forward(mask, 150)
-    run = peers.timed(lambda watch: peers.least_squares(forward, problem, watch), 0.1, 5.0)
+    problem = peer_fits.Problem(mask, target, 150)
+    forward = peer_fits.numba_forward(mask, 150)
+    run = peers.timed(lambda watch: peer_fits.least_squares(forward, problem, watch), 0.1, 5.0)
     assert run.arrived
     assert run.evaluations > 1
 
