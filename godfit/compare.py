@@ -163,7 +163,15 @@ def _row(
 ) -> Row:
     began = time.perf_counter()
     result = fit(
-        target, mask=mask, scene=scene, model=model, fix=fix, channels=3, progress=say, **options
+        target,
+        mask=mask,
+        scene=scene,
+        model=model,
+        fix=fix,
+        channels=3,
+        inquire=False,
+        progress=say,
+        **options,
     )
     known = [e for e in result.params.values() if not e.fixed and e.stderr is not None]
     parameters = len(known) + 1

@@ -43,6 +43,8 @@ DOUBT = 8.0
 CANDIDATES = 3
 # More levels than a wrong dip leaves: the model is another, and no density will do.
 HOPELESS = 6.0
+# And more than a wrong dip of the right model leaves.
+FOREIGN = 20.0
 MAX_DIPS = 5
 # A right answer to a picture that is only rounded leaves less noise than this.
 CONTENT = 1.3 * SIGMAS[0]
@@ -65,6 +67,8 @@ def on_subset(
     settled, tangent = settle(coordinates, model, seen, free, held)
     along, dip, doubtful = _dips(settled, evidence(settled, tangent, seen), model, free)
     if not free[along] or (not doubtful and settled.sigma < 2 * SIGMAS[0]):
+        return [settled.coordinates]
+    if settled.sigma > FOREIGN:
         return [settled.coordinates]
     say("other densities")
     found = reseed(settled, along, model, picture, free, held, seed)

@@ -58,6 +58,7 @@ def fit(
     valid: np.ndarray | None = None,
     transfer: str = "none",
     channels: int | None = None,
+    inquire: bool = True,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> FitResult:
@@ -94,6 +95,8 @@ def fit(
     - `transfer`: `"none"` or `"srgb"`, how the target (and the background) were encoded.
     - `channels`: 3 counts every channel of a grey picture, which costs time and adds no knowledge,
       but makes likelihoods comparable with those of models that are never grey.
+    - `inquire`: where more than noise is left, whether to try other starts and ask what may be
+      wrong. Fits that are only compared with each other can do without.
     - `seed`: of the choice of pixels.
     - `progress`: is called with a line of text as the fit goes on.
 
@@ -119,8 +122,8 @@ def fit(
         try:
             return _fit(
                 target, mask, background, scene, (canvas, rays), model, tuple(free), settings,
-                lights, (fov, distance), fix or {}, start or {}, valid, transfer, channels, seed,
-                progress or (lambda text: None),
+                lights, (fov, distance), fix or {}, start or {}, valid, transfer, channels, inquire,
+                seed, progress or (lambda text: None),
             )  # fmt: skip
         except jax.errors.JaxRuntimeError as error:
             raise InputError.within(error) or error from error
@@ -157,6 +160,7 @@ def _fit(
     valid: np.ndarray | None,
     transfer: str,
     channels: int | None,
+    inquire: bool,
     seed: int,
     say: Say,
 ) -> FitResult:
@@ -219,7 +223,7 @@ def _fit(
         say("edge pixels")
         begun = _starts(picture, model, given, seed)
         picture = agreed(picture, scene, model, begun, free, held, seed)
-    found = _look(picture, model, given, free, held, opened, seed, say)
+    found = _look(picture, model, given, free, held, opened, inquire, seed, say)
     timing = {"compile": compile_seconds() - compiled, "solve": time.perf_counter() - began}
     return verdict(found, used, notes, files, timing, seed)
 
@@ -231,12 +235,13 @@ def _look(
     free: np.ndarray,
     held: np.ndarray,
     opened: list[tuple[int, list[int]]],
+    inquire: bool,
     seed: int,
     say: Say,
 ) -> Found:
     """Screen, climb, settle."""
     if isinstance(model, Staged):
-        return _look_on_stage(picture, model, given, free, held, opened, seed, say)
+        return _look_on_stage(picture, model, given, free, held, opened, inquire, seed, say)
     say("screening")
     begun = _starts(picture, model, given, seed)
     candidates = [begun[0]]
@@ -258,8 +263,8 @@ def _look(
         settled, at = dips.beat_rivals(settled, at, model, picture, seen, free, held, seed)
         settled, at = dips.beat_distant(settled, at, model, picture, seen, free, held, seed)
     at = at.thinned(picture.repeats)
-    found = Found(model, picture, seen, settled, at, free, held, opened)
-    if free.any() and model.banded and restarts.doubtful(found):
+    found = Found(model, picture, seen, settled, at, free, held, opened, inquire)
+    if inquire and free.any() and model.banded and restarts.doubtful(found):
         found = restarts.again(found, begun[:AGAIN], seed, say)
         if found.settled.sigma > dips.HOPELESS:
             say("another transfer")
@@ -289,6 +294,7 @@ def _look_on_stage(
     free: np.ndarray,
     held: np.ndarray,
     opened: list[tuple[int, list[int]]],
+    inquire: bool,
     seed: int,
     say: Say,
 ) -> Found:
@@ -305,6 +311,7 @@ def _look_on_stage(
         np.append(free[:4], [False, False]),
         np.append(held[:4], light),
         [],
+        inquire,
         seed,
         say,
     )
@@ -312,7 +319,8 @@ def _look_on_stage(
     say("scene and scattering")
     settled, tangent = search.settle(z, model, flat.seen, free, held)
     at = evidence(settled, tangent, flat.seen)
-    return _hold_open(Found(model, picture, flat.seen, settled, at, free, held, opened), given)
+    found = Found(model, picture, flat.seen, settled, at, free, held, opened, inquire)
+    return _hold_open(found, given)
 
 
 def _hold_open(found: Found, given: dict[str, float]) -> Found:

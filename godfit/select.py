@@ -159,7 +159,14 @@ def select(
         geometry = scene is not None or (fov is not None and distance is not None)
         channels = 3 if geometry else None
         base = fit(
-            source, mask=mask, scene=scene, seed=seed, progress=say, channels=channels, **options
+            source,
+            mask=mask,
+            scene=scene,
+            seed=seed,
+            progress=say,
+            channels=channels,
+            inquire=False,
+            **options,
         )
         ladder = Ladder(base, place, seed, say)
         rungs = ladder.rungs()
@@ -170,7 +177,7 @@ def select(
             shared = {k: v for k, v in options.items() if k in ("background", "valid", "transfer")}
             daylight = fit(
                 source, mask=mask, scene=scene, model="hoffman-preetham", fov=fov,
-                distance=distance, channels=3, seed=seed, progress=say, **shared,
+                distance=distance, channels=3, inquire=False, seed=seed, progress=say, **shared,
             )  # fmt: skip
         same = _equivalent(rows[chosen].rung, base)
     seconds = time.perf_counter() - began

@@ -30,6 +30,7 @@ class Found:
     free: np.ndarray
     held: np.ndarray
     opened: list[tuple[int, list[int]]]
+    inquire: bool = True
     starts_agreed: tuple[int, int] | None = None
     other_transfer: bool = False
 
@@ -139,7 +140,7 @@ def _correlated(
     slope = correlated.slope_covariance(tangent, found.at.score, settled.sigma, seen)
     covariance, growth = correlated.widened(covariance, slope, found.free)
     model = found.model.moved(jnp.asarray(settled.coordinates), jnp.asarray(found.held))
-    if not left.like_noise or settled.sigma > 1:
+    if found.inquire and (not left.like_noise or settled.sigma > 1):
         pixels = np.asarray(seen.pixels)
         likely = diagnostics.diagnose(found.picture, model, pixels, tangent)
         if found.other_transfer:
