@@ -1,0 +1,50 @@
+"""Where methods fail: promises of experiments/stability.py, a seeded part of them at one size."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
+import basins
+import stability
+
+pytestmark = pytest.mark.usefixtures("single_precision")
+# One of every promise, and what costs least of each.
+NAMES = (
+    "light 1.5 off centre", "a scene's light", "margin 25%", "error against n",
+    "clamp against padding", "in and out of sight", "exposure .3", "mask is black",
+    "no tap at the pixel", "density near 0", "gradient sky", "vesper for dawntime",
+    "pmndrs for dawntime", "decay and density at 1", "light a frame away", "LevenbergMarquardt",
+    "two lights", "1 level",
+)  # fmt: skip
+
+
+def test_there_are_enough_rows():
+    names = [(case.failure, case.name) for case in stability.CASES]
+    assert len(names) == len(set(names)) >= 24
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_promise_is_kept(name):
+    (case,) = [c for c in stability.CASES if c.name == name]
+    kept, words = stability.attempt(case, 64)
+    assert kept, words
+
+
+def test_what_is_raised_breaks_a_promise():
+    def fails(size):
+        raise ValueError("no")
+
+    assert stability.attempt(stability.Case("", "", "", fails), 64) == (False, "ValueError: no")
+
+
+def test_near_starts_arrive_and_far_ones_need_screening():
+    light, other = basins.maps("triangles", 96, 3)
+    assert light[1, 1]
+    assert other.shape == (3, 3)
+    near = np.zeros((5, 5), bool)
+    near[1:4, 1:4] = True
+    assert basins.reach(near) == pytest.approx(0.25 * np.sqrt(2))
+    assert basins.reach(np.zeros((3, 3), bool)) == 0
