@@ -346,10 +346,10 @@ def _hold_open(found: Found, given: dict[str, float]) -> Found:
     )
 
 
-def pixels_used(picture: Picture, seed: int) -> np.ndarray:
+def pixels_used(picture: Picture, seed: int, most: int = MAX_VALUES) -> np.ndarray:
     """All valid pixels, or those of rows drawn at random where there are too many."""
     valid = picture.valid
-    rows = max(1, MAX_VALUES // (valid.shape[1] * picture.channels))
+    rows = max(1, most // (valid.shape[1] * picture.channels))
     if rows < valid.shape[0]:
         chosen = np.random.default_rng(seed).permutation(valid.shape[0])[:rows]
         only = np.zeros_like(valid)

@@ -24,6 +24,8 @@ from godfit.tinted import Tinted
 
 # What DawnTime and Vesper ship, for shaders that publish no defaults.
 SHIPPED = {"decay": 0.99, "density": 0.8, "weight": 0.8}
+# Values that rungs are fitted to: enough for differences that anyone would see.
+VALUES = 1 << 16
 Say = Callable[[str], None]
 
 
@@ -57,7 +59,7 @@ class Ladder:
         assert isinstance(base.model, Mitchell)
         self.base, self.shader, self.seed, self.say = base, base.model, seed, say
         self.picture = base.picture
-        self.seen = self.picture.observe(pixels_used(self.picture, seed))
+        self.seen = self.picture.observe(pixels_used(self.picture, seed, VALUES))
         published = self.shader.convention.defaults
         self.held = {name: published.get(name, SHIPPED[name]) for name in SHIPPED}
         self.held |= {"light_x": place[0], "light_y": place[1]}

@@ -29,7 +29,7 @@ from godfit.image import atomic_write
 from godfit.inputs import Source
 from godfit.likelihood import log_likelihood
 from godfit.models import Mitchell
-from godfit.observation import LEVELS, Observation
+from godfit.observation import LEVELS, Observation, Picture
 from godfit.result import FitResult
 from godfit.rungs import Ladder, Rung, like_noise
 from godfit.scene import Scene, read_scene
@@ -69,7 +69,6 @@ class Selection:
     chosen: int
     equivalent: dict[str, dict[str, float]]
     base: FitResult
-    seen: Observation
     daylight: FitResult | None
     seconds: float
 
@@ -181,7 +180,7 @@ def select(
             )  # fmt: skip
         same = _equivalent(rows[chosen].rung, base)
     seconds = time.perf_counter() - began
-    return Selection(tuple(rows), chosen, same, base, ladder.seen, daylight, seconds)
+    return Selection(tuple(rows), chosen, same, base, daylight, seconds)
 
 
 def _judged(rungs: list[Rung], seen: Observation, seed: int, share: float) -> tuple[list[Row], int]:
@@ -371,7 +370,7 @@ def plot(found: Selection) -> Figure:
     target = np.broadcast_to(target, (height, width, 3))
     axes[0].imshow(target[::step, ::step])
     axes[0].set_title("target", fontsize=9)
-    residuals = [_residual(row.rung, found.seen) for row in rows]
+    residuals = [_residual(row.rung, picture) for row in rows]
     # The same colours for all: what the recommended one leaves must be seen as well.
     limit = max(1.0, 3 * rows[found.chosen].rmse)
     for i, (panel, row, left) in enumerate(zip(axes[1:], rows, residuals, strict=True)):
@@ -399,13 +398,12 @@ def plot(found: Selection) -> Figure:
     return figure
 
 
-def _residual(rung: Rung, seen: Observation) -> np.ndarray:
+def _residual(rung: Rung, picture: Picture) -> np.ndarray:
     """(h, w) or (h, w, 3) fitted less target, 0 where the target is clipped, NaN where ignored."""
-    lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
-    known = np.isfinite(lo) & np.isfinite(hi)
-    middle = (np.where(known, lo, 0) + np.where(known, hi, 0)) / 2
-    left = np.where(known, rung.tangent.prediction - middle, 0).reshape(-1, seen.channels)
-    whole = np.full((seen.size[0] * seen.size[1], seen.channels), np.nan, np.float32)
-    whole[np.asarray(seen.pixels)] = left
-    whole = whole.reshape(*seen.size, seen.channels)
-    return whole if seen.channels == 3 else whole[..., 0]
+    if rung.model is None:
+        drawn = np.full(picture.levels.shape, rung.values["veil"], np.float32)
+    else:
+        drawn = picture.rendered(rung.model)
+    left = np.where(picture.clipped[..., None], 0, drawn - picture.levels)
+    left = np.where(picture.valid[..., None], left, np.nan)
+    return left if picture.channels == 3 else left[..., 0]

@@ -13,11 +13,9 @@ import stability
 pytestmark = pytest.mark.usefixtures("single_precision")
 # One of every promise, and what costs least of each.
 NAMES = (
-    "light 1.5 off centre", "a scene's light", "margin 25%", "error against n",
-    "clamp against padding", "in and out of sight", "exposure .3", "mask is black",
-    "no tap at the pixel", "density near 0", "gradient sky", "vesper for dawntime",
-    "pmndrs for dawntime", "decay and density at 1", "light a frame away", "LevenbergMarquardt",
-    "two lights", "1 level",
+    "a scene's light", "error against n", "clamp against padding", "exposure .3",
+    "mask is black", "density near 0", "gradient sky", "decay and density at 1",
+    "LevenbergMarquardt", "two lights",
 )  # fmt: skip
 
 
@@ -40,10 +38,11 @@ def test_what_is_raised_breaks_a_promise():
     assert stability.attempt(stability.Case("", "", "", fails), 64) == (False, "ValueError: no")
 
 
-def test_near_starts_arrive_and_far_ones_need_screening():
-    light, other = basins.maps("triangles", 96, 3)
-    assert light[1, 1]
-    assert other.shape == (3, 3)
+def test_one_start_arrives_from_far_away():
+    light, other = basins.maps("triangles", 64, 2)
+    # The light half a frame away both ways, attenuation off by a factor of four.
+    assert light.all()
+    assert other.any()
     near = np.zeros((5, 5), bool)
     near[1:4, 1:4] = True
     assert basins.reach(near) == pytest.approx(0.25 * np.sqrt(2))
