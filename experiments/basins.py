@@ -16,7 +16,7 @@ import argparse
 import jax
 import numpy as np
 import scenes
-from stability import SAMPLES, TRUTH, light_pass, mask_of
+from stability_judges import SAMPLES, TRUTH, light_pass, mask_of
 
 from godfit import FitResult, search
 from godfit import fit as whole_fit

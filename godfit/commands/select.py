@@ -48,18 +48,19 @@ def select(
     for name in ("model", "canvas", "rays"):
         study.options.pop(name, None)
     with working(quiet, verbose) as progress:
-        from godfit import select as selecting
+        from godfit import select_report
+        from godfit.select import select as climb
 
         made_ready(study.options, quiet, progress)
-        found = selecting.select(
+        found = climb(
             study.image, light=place, valid=study.valid, seed=seed, progress=progress,
             **study.options,
         )  # fmt: skip
         progress("drawing")
-        selecting.save(found, study.folder, command_line())
+        select_report.save(found, study.folder, command_line())
     concluded(
         found.base.notes,
-        selecting.as_json(found, command_line()),
+        select_report.as_json(found, command_line()),
         found.summary(),
         written(study.folder, "select.json", "select.png"),
         as_json=as_json,
