@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -77,10 +78,10 @@ class Evidence(NamedTuple):
         return covariance
 
 
-@jax.jit
-def _evidence(prediction, jacobian, lo, hi, sigma, blunt_sigma):
+@functools.partial(jax.jit, static_argnames="foreign")
+def _evidence(prediction, jacobian, lo, hi, sigma, blunt_sigma, foreign):
     def pixels(sigma):
-        return interval((lo - prediction) / sigma, (hi - prediction) / sigma)
+        return interval((lo - prediction) / sigma, (hi - prediction) / sigma, foreign)
 
     def curvature(pixel, sigma):
         return (jacobian * (pixel.curvature / sigma**2)[None]) @ jacobian.T
@@ -101,7 +102,7 @@ def evidence(settled: Settled, tangent: Tangent, seen: Observation) -> Evidence:
     for begin in range(0, len(lo), BLOCK):
         rows = slice(begin, begin + BLOCK)
         values = tangent.prediction[rows], tangent.jacobian[:, rows], lo[rows], hi[rows]
-        found = _evidence(*values, np.float32(sigma), np.float32(blunt_sigma))
+        found = _evidence(*values, np.float32(sigma), np.float32(blunt_sigma), seen.foreign)
         parts.append([np.asarray(z) for z in found])
     curvature, scores, blunt, gradient = (
         np.sum([part[i] for part in parts], 0, np.float64) for i in range(4)

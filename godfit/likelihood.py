@@ -9,12 +9,18 @@ of standard deviation sigma before the rounding, the log-likelihood of a predict
 the likelihood of grouped (interval-censored) data: Sheppard 1898; Heitjan, Statistical Science 4
 (1989), 164. It is log-concave in f. As sigma grows it becomes least squares with sigma^2 + h^2/3.
 
+Where a model is silent about some pixels (objects, panels), a share of them, ``foreign``, may be of
+any level alike: the density is then a mixture with heavy tails (Jaynes, Probability Theory, ch. 21;
+Hogg, Bovy & Lang, arXiv:1008.4686, section 3), and what is far off pulls no more.
+
 Solvers of nonlinear least squares take it as deviance residuals, r = sign(t - f) sqrt(2 (max log-
 likelihood - log-likelihood)), whose sum of squares is the deviance. All values are in 8-bit levels.
 """
 
 from __future__ import annotations
 
+import functools
+import math
 from typing import NamedTuple
 
 import jax
@@ -29,6 +35,8 @@ FAR = 1e5
 # Below this width (in sigma) the interval is a point: the density times the width, whose error,
 # width^2/24, is then smaller than the cancellation in a difference of two distribution functions.
 NARROW = 0.02
+# What a level that could be any has to itself.
+ANY_LEVEL = 1 / 256
 
 
 class Interval(NamedTuple):
@@ -39,10 +47,23 @@ class Interval(NamedTuple):
     curvature: Float[Array, "..."]
 
 
-def interval(low: Float[Array, "..."], high: Float[Array, "..."]) -> Interval:
+def interval(low: Float[Array, "..."], high: Float[Array, "..."], foreign: float = 0.0) -> Interval:
     """log(Phi(high) - Phi(low)), its slope d/df and curvature -d2/df2, for low = (lo - f)/sigma,
     high = (hi - f)/sigma, low < high or both equal (a point). Finite for every finite or infinite
-    argument; curvature lies in [0, 1]."""
+    argument; curvature lies in [0, 1].
+
+    With a share ``foreign`` the logarithm is that of the mixture, and the curvature its part that
+    is never negative, the interval's own times the chance that the pixel is none of these."""
+    pixel = _interval(low, high)
+    if foreign == 0:
+        return pixel
+    own = math.log1p(-foreign) + pixel.log
+    log = jnp.logaddexp(own, math.log(foreign * ANY_LEVEL))
+    chance = jnp.exp(own - log)
+    return Interval(log, chance * pixel.slope, chance * pixel.curvature)
+
+
+def _interval(low: Float[Array, "..."], high: Float[Array, "..."]) -> Interval:
     low, high = jnp.clip(low, -FAR, FAR), jnp.clip(high, -FAR, FAR)
     middle, width = (low + high) / 2, high - low
     # Mirrored to the left tail, where both distribution functions keep their relative precision.
@@ -73,35 +94,37 @@ def log_likelihood(
     lo: Float[Array, " n"],
     hi: Float[Array, " n"],
     sigma: Float[Array, ""],
+    foreign: float = 0.0,
 ) -> Float[Array, " n"]:
     """Log-likelihood of every pixel; for points (lo = hi) that of the density."""
-    log = interval((lo - prediction) / sigma, (hi - prediction) / sigma).log
+    log = interval((lo - prediction) / sigma, (hi - prediction) / sigma, foreign).log
     return jnp.where(lo == hi, log - jnp.log(sigma), log)
 
 
-def _best(lo, hi, sigma):
+def _best(lo, hi, sigma, foreign):
     """Log-likelihood of the prediction that suits the pixel best: the middle of its interval."""
     half = jnp.where(jnp.isfinite(lo) & jnp.isfinite(hi), (hi - lo) / 2, jnp.inf) / sigma
-    return interval(-half, half).log
+    return interval(-half, half, foreign).log
 
 
-@jax.custom_jvp
+@functools.partial(jax.custom_jvp, nondiff_argnums=(4,))
 def deviance_residuals(
     prediction: Float[Array, " n"],
     lo: Float[Array, " n"],
     hi: Float[Array, " n"],
     sigma: Float[Array, ""],
+    foreign: float = 0.0,
 ) -> Float[Array, " n"]:
     """Signed roots of the deviance: half the sum of their squares is the negative log-likelihood up
     to a constant. Differentiable in ``prediction`` alone."""
-    return _residuals(prediction, lo, hi, sigma)[0]
+    return _residuals(prediction, lo, hi, sigma, foreign)[0]
 
 
-def _residuals(prediction, lo, hi, sigma):
+def _residuals(prediction, lo, hi, sigma, foreign):
     low, high = (lo - prediction) / sigma, (hi - prediction) / sigma
-    pixel = interval(low, high)
+    pixel = interval(low, high, foreign)
     above = low + high > 0
-    best = _best(lo, hi, sigma)
+    best = _best(lo, hi, sigma, foreign)
     deviance = 2 * (best - pixel.log)
     size = jnp.sqrt(jnp.maximum(deviance, 0.0))
     # d r/d f = -slope / r, which tends to the root of the curvature in the middle.
@@ -114,6 +137,6 @@ def _residuals(prediction, lo, hi, sigma):
 
 
 @deviance_residuals.defjvp
-def _deviance_residuals_jvp(primals, tangents):
-    residuals, slope = _residuals(*primals)
+def _deviance_residuals_jvp(foreign, primals, tangents):
+    residuals, slope = _residuals(*primals, foreign)
     return residuals, slope * tangents[0]

@@ -38,6 +38,8 @@ class Observation(eqx.Module):
     transfer: str = eqx.field(static=True)
     # Whether the pixels are all there are, in their order: then no index is needed.
     whole: bool = eqx.field(static=True)
+    # Share of pixels that may be of any level, see ``likelihood.py``.
+    foreign: float = eqx.field(static=True, default=0.0)
 
     def predict(self, model: AbstractModel) -> Float[Array, " m"]:
         """Levels of the model's image before rounding, (pixels x channels,)."""
@@ -55,6 +57,7 @@ class Picture:
     ``levels`` (h, w, c) is the target in 8-bit levels of its own encoding, ``half`` half the
     distance between two of its levels (0 for floats), ``valid`` (h, w) is False where the user said
     to look away. ``mask`` (h', w') or (h', w', c) and ``background`` (h, w, c) or None are linear.
+    ``foreign`` is the share of pixels that may be of any level.
     """
 
     levels: np.ndarray
@@ -63,6 +66,7 @@ class Picture:
     mask: np.ndarray
     background: np.ndarray | None
     transfer: str
+    foreign: float = 0.0
 
     @staticmethod
     def make(
@@ -177,6 +181,7 @@ class Picture:
             self.channels,
             self.transfer,
             bool(np.array_equal(pixels, np.arange(self.size[0] * self.size[1]))),
+            self.foreign,
         )
 
     def _share_clipped(self, pixels: np.ndarray, reach: int) -> np.ndarray:

@@ -6,6 +6,7 @@ starts that fall behind are dropped. ``settle`` finds coordinates and noise that
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -43,17 +44,18 @@ SIGMA_VALUES, FINAL_SIGMA_VALUES = 1 << 12, 1 << 15
 SIGMAS = (0.005 * 3.0 ** np.arange(10)).astype(np.float32)
 
 
-@jax.jit
+@functools.partial(jax.jit, static_argnames="foreign")
 def _log_likelihoods(
     prediction: Values,
     lo: Values,
     hi: Values,
     sigmas: Float[Array, " s"] | Float[np.ndarray, " s"],
+    foreign: float = 0.0,
 ) -> Float[Array, " s"]:
     pixels = jnp.asarray(prediction), jnp.asarray(lo), jnp.asarray(hi)
 
     def total(sigma):
-        return log_likelihood(pixels[0], pixels[1], pixels[2], sigma).sum()
+        return log_likelihood(pixels[0], pixels[1], pixels[2], sigma, foreign).sum()
 
     return jax.lax.map(total, jnp.asarray(sigmas))
 
@@ -75,7 +77,7 @@ def best_sigma(
         values = tuple(np.asarray(z)[part] for z in values)
     sigmas, ratio = SIGMAS, SIGMAS[1] / SIGMAS[0]
     for _ in range(3 if part_of == SIGMA_VALUES else 4):
-        found = np.asarray(_log_likelihoods(*values, sigmas), np.float64)
+        found = np.asarray(_log_likelihoods(*values, sigmas, foreign=seen.foreign), np.float64)
         at = int(np.nanargmax(found))
         best, step = float(sigmas[at]), math.log(ratio)
         if 0 < at < len(sigmas) - 1 and np.isfinite(found[at - 1 : at + 2]).all():
@@ -92,7 +94,8 @@ def best_sigma(
 def log_likelihood_at(prediction: np.ndarray, seen: Observation, sigma: float) -> float:
     """Log-likelihood of all pixels."""
     sigmas = np.full(1, sigma, np.float32)
-    return float(_log_likelihoods(prediction, seen.lo, seen.hi, sigmas)[0])
+    found = _log_likelihoods(prediction, seen.lo, seen.hi, sigmas, foreign=seen.foreign)
+    return float(found[0])
 
 
 def climb(
@@ -233,7 +236,7 @@ def aim(
             rows = _near_walls(tangent.prediction, lo, hi)
         moved, jacobian = tangent.moved(z - at.coordinates, rows), tangent.jacobian[:, rows]
         z = solve_tangent(
-            z, free, model, tangent.scale, moved, jacobian, lo[rows], hi[rows], sigma
+            z, free, model, tangent.scale, moved, jacobian, lo[rows], hi[rows], sigma, seen.foreign
         ).coordinates
         moved = tangent.moved(z - at.coordinates)
         before, (sigma, likelihood) = sigma, best_sigma(moved, seen)

@@ -49,7 +49,7 @@ def _least_squares(
 ):
     def residuals(y, _):
         at = model.moved(jnp.where(free, y * scale, start), held)
-        return share * deviance_residuals(seen.predict(at), seen.lo, seen.hi, sigma)
+        return share * deviance_residuals(seen.predict(at), seen.lo, seen.hi, sigma, seen.foreign)
 
     # Residuals of order one in sum make the solver's first damping, 1, mean something: it starts
     # between the gradient and the Newton step instead of leaping.
@@ -83,7 +83,7 @@ def linearise(
     return jax.vmap(move, out_axes=(None, 0))((jnp.eye(y.shape[0], dtype=y.dtype),))
 
 
-@jax.jit
+@functools.partial(jax.jit, static_argnames="foreign")
 def _on_tangent(
     step: Vector,
     prediction: Values,
@@ -91,11 +91,13 @@ def _on_tangent(
     lo: Values,
     hi: Values,
     sigma: Scalar,
+    foreign: float = 0.0,
 ) -> tuple[Float[Array, ""], Float[Array, " p"], Float[Array, "p p"]]:
     """Log-likelihood with the model replaced by its tangent, slope and curvature by ``step``."""
     jacobian = jnp.asarray(jacobian)
     levels = jnp.asarray(prediction) + step @ jacobian
-    pixel = interval((jnp.asarray(lo) - levels) / sigma, (jnp.asarray(hi) - levels) / sigma)
+    low, high = (jnp.asarray(lo) - levels) / sigma, (jnp.asarray(hi) - levels) / sigma
+    pixel = interval(low, high, foreign)
     curvature = (jacobian * (pixel.curvature / sigma**2)[None]) @ jacobian.T
     return pixel.log.sum(), jacobian @ (pixel.slope / sigma), curvature
 
@@ -128,7 +130,7 @@ def solve(
 
     def slope(z):
         prediction, jacobian = linearise(z, held, np.ones_like(z), model, seen)
-        return _slope(prediction, jacobian, seen.lo, seen.hi, np.float32(sigma))
+        return _slope(prediction, jacobian, seen.lo, seen.hi, np.float32(sigma), seen.foreign)
 
     return _inside(start, free, model, run, slope)
 
@@ -143,6 +145,7 @@ def solve_tangent(
     lo: Values,
     hi: Values,
     sigma: float,
+    foreign: float = 0.0,
 ) -> Point:
     """The likeliest coordinates inside the bounds on the tangent at ``start``, given by
     ``linearise``: a concave problem in a few unknowns.
@@ -161,7 +164,8 @@ def solve_tangent(
     size = np.sqrt(np.diag(least_squares) + 1)
 
     def at(step):
-        return [np.asarray(z, np.float64) for z in _on_tangent(step.astype(np.float32), *values)]
+        found = _on_tangent(step.astype(np.float32), *values, foreign=foreign)
+        return [np.asarray(z, np.float64) for z in found]
 
     step, damping, settled, steps = np.zeros(len(start)), 1e-2, False, 0
     likelihood, slope, curvature = at(step)
@@ -191,9 +195,9 @@ def solve_tangent(
     return Point(z.astype(np.float32), -float(likelihood), settled, steps)
 
 
-@jax.jit
-def _slope(prediction, jacobian, lo, hi, sigma):
-    pixel = interval((lo - prediction) / sigma, (hi - prediction) / sigma)
+@functools.partial(jax.jit, static_argnames="foreign")
+def _slope(prediction, jacobian, lo, hi, sigma, foreign):
+    pixel = interval((lo - prediction) / sigma, (hi - prediction) / sigma, foreign)
     return -jacobian @ (pixel.slope / sigma)
 
 

@@ -1,0 +1,179 @@
+"""Screenshots as a user has them: the finished composite and nothing else.
+
+A disc light behind one or two objects, a veil, a background that is flat, smooth or textured,
+control panels on top, the light pass at full or half resolution, some of it clipped. The light pass
+is the project's own; what lies under and over it is painted by formula.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from scipy import ndimage
+
+from godfit.models import Mitchell
+from godfit.observation import shrink
+
+BACKGROUNDS = ("flat", "smooth", "textured")
+
+
+@dataclass(frozen=True, eq=False)
+class Screen:
+    """``image`` (h, w, 3) bytes; ``truth`` by parameter; ``panels`` as (x, y, width, height) in
+    pixels; ``mask`` (h, w), the occlusion mask that nobody has."""
+
+    image: np.ndarray
+    truth: dict[str, float]
+    panels: tuple[tuple[int, int, int, int], ...]
+    mask: np.ndarray
+    pass_scale: float
+
+
+def made(
+    seed: int,
+    background: str,
+    size: tuple[int, int] = (270, 480),
+    *,
+    shader: str = "dawntime",
+    at: np.ndarray | None = None,
+    shared: dict[str, float] | None = None,
+) -> Screen:
+    """The screenshot of a seed. ``at`` puts the light (texture coordinates) and ``shared`` shader
+    parameters where they are given, as in the frames of one clip."""
+    rng = np.random.default_rng([seed, BACKGROUNDS.index(background)])
+    h, w = size
+    light = rng.uniform(-0.1, 1.1, 2)
+    if rng.uniform() < 0.6:
+        light = rng.uniform(0.15, 0.85, 2)
+    light = light if at is None else np.asarray(at)
+    x, y = _metric(size)
+    centre = np.array([light[0] * w / h, light[1]])
+    radius = rng.uniform(0.05, 0.16)
+    solid = np.zeros(size, bool)
+    painted = _background(rng, background, size)
+    for i in range(rng.integers(1, 3)):
+        away = radius * rng.uniform(0.2, 1.2) if i == 0 else rng.uniform(0.25, 0.6)
+        inward = np.arctan2(0.5 - centre[1], w / h / 2 - centre[0]) + rng.uniform(-1, 1)
+        turn = rng.uniform(0, 2 * np.pi) if i == 0 and 0 < light.min() < light.max() < 1 else inward
+        place = centre + away * np.array([np.cos(turn), np.sin(turn)])
+        shape = _object(rng, x - place[0], y - place[1], rng.uniform(0.08, 0.2))
+        painted[shape] = _shaded(rng, x, y)[shape]
+        solid |= shape
+    veil = rng.uniform(0.02, 0.1)
+    disc = np.hypot(x - centre[0], y - centre[1]) < radius
+    mask = np.where(solid, 0.0, np.where(disc, 1.0, veil))
+    mask = (np.round(255 * mask) / 255).astype(np.float32)
+    samples = int(rng.choice([60, 100, 120, 150, 200]))
+    truth = {
+        "decay": float(rng.uniform(0.05, 0.8) ** (1 / samples)),
+        "density": float(rng.uniform(0.5, 1.0)),
+        "weight": float(rng.uniform(0.4, 1.0)),
+        "light_x": float(light[0]),
+        "light_y": float(light[1]),
+        "samples": samples,
+        "radius": float(radius),
+        "veil": round(255 * veil) / 255,
+    }
+    clipped = rng.uniform(0.002, 0.1)
+    if shared is not None:
+        truth |= shared
+    scale = float(rng.choice([1.0, 0.5]))
+    low = mask if scale == 1 else shrink(mask, (h // 2, w // 2))
+    unit = _light_pass(low, size, truth | {"exposure": 1.0}, shader, clamp=False)
+    room = (1 - painted.max(-1)) / np.maximum(unit, 1e-6)
+    # Exposed so that so large a share of the picture is clipped, as people set it.
+    exposure = float(np.quantile(room, clipped))
+    while np.mean(room < 1.02 * exposure) > clipped + 0.01:
+        # Where all of the background would come to its limit at once, under it.
+        exposure *= 0.97
+    truth["exposure"] = exposure if shared is None else shared["exposure"]
+    light_pass = _light_pass(low, size, truth, shader, clamp=scale != 1)
+    levels = (
+        np.floor(255 * np.clip(painted, 0, 1) + 0.5)
+        + np.floor(255 * np.clip(light_pass, 0, 1) + 0.5)[..., None]
+    )
+    image = np.clip(levels, 0, 255).astype(np.uint8)
+    panels = _panels(rng, image, centre * h)
+    return Screen(image, truth, panels, mask, scale)
+
+
+def _light_pass(mask, size, truth, shader, *, clamp):
+    model = Mitchell(
+        truth["exposure"], truth["decay"], truth["density"], truth["weight"],
+        [[truth["light_x"], truth["light_y"]]], shader, int(truth["samples"]),
+    )  # fmt: skip
+    if not clamp and mask.shape != size:
+        mask = np.kron(mask, np.ones((2, 2), np.float32))[: size[0], : size[1]]
+        mask = np.pad(mask, [(0, n - m) for n, m in zip(size, mask.shape, strict=True)], "edge")
+    return np.asarray(model(jnp.asarray(mask), size=size))
+
+
+def _metric(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """x to the right and y up, in picture heights."""
+    h, w = size
+    return np.meshgrid((np.arange(w) + 0.5) / h, 1 - (np.arange(h) + 0.5) / h)
+
+
+def _background(rng: np.random.Generator, kind: str, size: tuple[int, int]) -> np.ndarray:
+    """(h, w, 3) the ordinary pass without objects."""
+    x, y = _metric(size)
+    colour = rng.uniform(0, 0.45, 3)
+    if kind == "flat":
+        return np.broadcast_to(np.where(rng.uniform() < 0.2, 0.0, colour), (*size, 3)).copy()
+    other = np.clip(colour + rng.uniform(-0.25, 0.25, 3), 0, 0.5)
+    turn = rng.uniform(0, 2 * np.pi)
+    along = (x - x.mean()) * np.cos(turn) + (y - 0.5) * np.sin(turn)
+    along = (along - along.min()) / np.ptp(along)
+    field = colour + (other - colour) * (along ** rng.uniform(0.7, 1.6))[..., None]
+    if kind == "smooth":
+        return field
+    noise = sum(ndimage.gaussian_filter(rng.standard_normal(size), s) * s for s in (1.0, 2.5, 6.0))
+    cells = np.sin(x * rng.uniform(20, 60)) * np.sin(y * rng.uniform(20, 60))
+    texture = 0.02 * noise / noise.std() + 0.02 * np.sign(cells)
+    return np.clip(field + texture[..., None] * rng.uniform(0.5, 1.5, 3), 0, 1)
+
+
+def _object(rng: np.random.Generator, x, y, radius: float) -> np.ndarray:
+    """(h, w) True inside a star, an ellipse with a hole, or bars."""
+    turn = rng.uniform(0, np.pi)
+    along, across = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
+    kind = rng.integers(3)
+    if kind == 0:
+        angle = np.arctan2(y, x)
+        waves = sum(
+            rng.uniform(0, 0.25) * np.cos(k * angle + rng.uniform(0, 6.3)) for k in (2, 3, 5)
+        )
+        return np.hypot(x, y) < radius * (1 + waves)
+    if kind == 1:
+        outer = np.hypot(along / radius, across / (radius * rng.uniform(0.5, 1)))
+        return (outer < 1) & (np.hypot(along + 0.4 * radius, across) > rng.uniform(0, 0.3) * radius)
+    bars = np.abs((across / radius * 3) % 1 - 0.5) < rng.uniform(0.2, 0.35)
+    rim = np.maximum(np.abs(along), np.abs(across)) > 0.85 * radius
+    return (bars | rim) & (np.maximum(np.abs(along), np.abs(across)) < radius)
+
+
+def _shaded(rng: np.random.Generator, x, y) -> np.ndarray:
+    """(h, w, 3) a surface: a colour, lit from one side, with some grain."""
+    turn = rng.uniform(0, 2 * np.pi)
+    lit = 1 + 0.5 * np.sin(6 * (x * np.cos(turn) + y * np.sin(turn)) + rng.uniform(0, 6.3))
+    grain = 1 + 0.1 * ndimage.gaussian_filter(rng.standard_normal(x.shape), 1)
+    return rng.uniform(0.0, 0.4, 3) * (lit * grain)[..., None]
+
+
+def _panels(rng: np.random.Generator, image: np.ndarray, light: np.ndarray):
+    """Panels painted into ``image``, away from the light, up to 15% of the picture."""
+    h, w = image.shape[:2]
+    share = rng.uniform(0, 0.15)
+    wide = int(w * rng.uniform(0.12, 0.3))
+    tall = min(int(share * h * w / wide), h)
+    if tall < 12:
+        return ()
+    left = 0 if light[0] > w / 2 else w - wide
+    top = 0 if rng.uniform() < 0.5 else h - tall
+    image[top : top + tall, left : left + wide] = rng.integers(15, 60)
+    for row in range(top + 3, top + tall - 6, 10):
+        image[row : row + 5, left + 4 : left + 4 + int(wide * rng.uniform(0.2, 0.5))] = 200
+        image[row - 1 : row + 6, left + int(0.6 * wide) : left + int(0.9 * wide)] = (47, 161, 214)
+    return ((left, top, wide, tall),)

@@ -1,0 +1,216 @@
+"""A picture that comes with nothing: a disc light on a veil, what stands before them, a background.
+
+The occlusion mask is open * (veil + (1 - veil) disc): the light is white, a disc with a soft edge;
+the veil is the colour that the mask is cleared to; ``open`` is 0 where something stands in the way.
+The background is a polynomial of the place, of so low a degree as will do, linear in its
+coefficients.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from godfit.models import AbstractModel, Mitchell, Vector, at_pixels, columns_rows
+from godfit.parameters import SCATTERING, Parameter, light_parameters
+from godfit.taps import Convention, Taps
+
+SHAPE = (
+    Parameter("radius", "R", "of the height", 0.0, np.inf, "of the light's disc"),
+    Parameter("edge", "s", "of the height", 0.0, np.inf, "width of the disc's soft edge"),
+    Parameter("veil", "c", "1", 0.0, 1.0, "what the mask is cleared to; the light is 1"),
+)
+FIRST = len(SCATTERING) + 2 + len(SHAPE)
+CHANNELS = "rgb"
+# Powers of x and y, each from -1 to 1 over the picture, in order of degree.
+POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
+TERMS = {0: 1, 1: 3, 2: 6, 3: 10}
+
+
+def terms(pixels: Int[Array, " n"], size: tuple[int, int], count: int) -> Float[Array, "n k"]:
+    """The first ``count`` powers of the place at row-major ``pixels`` of a picture of ``size``."""
+    h, w = size
+    at = columns_rows(pixels, w, jnp.result_type(float))
+    x, y = 2 * (at[:, 0] + 0.5) / w - 1, 1 - 2 * (at[:, 1] + 0.5) / h
+    return jnp.stack([x**i * y**j for i, j in POWERS[:count]], -1)
+
+
+class DiscLight(AbstractModel):
+    """Mitchell's sum over the mask of a disc light, on a background.
+
+    ``shading`` holds the scattering and the light's place; ``shape`` (3,) is radius and edge, in
+    picture heights, and veil; ``background`` (k, c) holds linear values at the middle of the
+    picture and coefficients of ``terms``. Coordinates are Mitchell's and then these numbers.
+    """
+
+    name: ClassVar[str] = Mitchell.name
+    kept: ClassVar[str] = Mitchell.kept
+    product: ClassVar[tuple[str, str]] = Mitchell.product
+    banded: ClassVar[bool] = False
+    channels: ClassVar[int] = 1
+
+    shading: Mitchell
+    shape: Float[Array, " 3"]
+    background: Float[Array, "k c"]
+
+    def __init__(self, shading, shape, background):
+        self.shading = shading
+        self.shape = jnp.asarray(shape, float)
+        self.background = jnp.atleast_2d(jnp.asarray(background, float))
+
+    @property
+    def settings(self) -> dict[str, str | int | float]:
+        return self.shading.settings
+
+    @property
+    def convention(self) -> Convention:
+        return self.shading.convention
+
+    @property
+    def samples(self) -> int:
+        return self.shading.samples
+
+    @property
+    def light(self) -> Float[Array, "1 2"]:
+        return self.shading.light
+
+    @property
+    def taps(self) -> tuple[Taps, ...]:
+        return self.shading.taps
+
+    @property
+    def used(self) -> np.ndarray:
+        rest = np.ones(len(self.parameters) - 6, bool)
+        return np.concatenate([self.shading.used, rest])
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        rows = [*SCATTERING, *light_parameters(1), *SHAPE]
+        k, c = self.background.shape
+        for i, j in POWERS[:k]:
+            place = "x" * i + "y" * j
+            for channel in CHANNELS if c == 3 else ("",):
+                name = "_".join(filter(None, ("background", channel, place)))
+                rows.append(Parameter(name, "", "1", -np.inf, np.inf, "of the ordinary pass"))
+        return {row.name: row for row in rows}
+
+    @property
+    def defaults(self) -> dict[str, float]:
+        return dict(self.shading.defaults) | {"veil": 0.0}
+
+    def values(self) -> dict[str, Float[Array, ""]]:
+        numbers = [
+            *self.shading.values().values(), *self.shape, *self.background.reshape(-1)
+        ]  # fmt: skip
+        return dict(zip(self.parameters, numbers, strict=True))
+
+    def coordinates(self) -> Float[Array, " p"]:
+        rest = (self.shape, self.background.reshape(-1))
+        return jnp.concatenate([self.shading.coordinates(), *rest])
+
+    def moved(self, coordinates: Vector, held: Vector | None = None) -> DiscLight:
+        coordinates = jnp.asarray(coordinates)
+        if held is None:
+            held = jnp.full_like(coordinates, jnp.nan)
+        shading = self.shading.moved(coordinates[:6], held[:6])
+        rest = jnp.where(jnp.isnan(held[6:]), coordinates[6:], held[6:])
+        at = (shading, rest[:3], rest[3:].reshape(self.background.shape))
+        return eqx.tree_at(lambda m: (m.shading, m.shape, m.background), self, at)
+
+    def bounds(self) -> tuple[list[float], list[float]]:
+        lower, upper = self.shading.bounds()
+        count = self.background.size
+        inf = float("inf")
+        return lower + [1e-3, 1e-4, 0.0] + [-inf] * count, upper + [2.0, 0.5, 1.0] + [inf] * count
+
+    def linear(self) -> np.ndarray:
+        index = np.arange(FIRST + self.background.size)
+        return np.isin(index, (0, 3)) | (index >= FIRST)
+
+    def scales(self, coordinates: np.ndarray) -> np.ndarray:
+        rest = np.full(len(coordinates) - 6, 0.02, np.float32)
+        rest[:2] = np.maximum(0.2 * np.abs(coordinates[6:8]), (0.01, 2e-3))
+        return np.concatenate([self.shading.scales(coordinates[:6]), rest])
+
+    def ranges(self, coordinates: np.ndarray) -> np.ndarray:
+        rest = np.full(len(coordinates) - 6, 0.3)
+        rest[:2] = 0.2, 0.01
+        return np.concatenate([self.shading.ranges(coordinates[:6]), rest])
+
+    def occlusion(self, open_: Float[Array, "h w"]) -> Float[Array, "h w"]:
+        """The mask that the light pass reads."""
+        h, w = open_.shape
+        x = (jnp.arange(w, dtype=open_.dtype) + 0.5) / w - self.light[0, 0]
+        y = 1 - (jnp.arange(h, dtype=open_.dtype) + 0.5) / h - self.light[0, 1]
+        radius, edge, veil = self.shape
+        away = jnp.sqrt((x * w / h)[None] ** 2 + y[:, None] ** 2 + 1e-12)
+        disc = jax.nn.sigmoid((radius - away) / edge)
+        return open_ * (veil + (1 - veil) * disc)
+
+    def __call__(
+        self,
+        mask: Float[Array, "h w"] | Float[Array, "h w c"],
+        background: Float[Array, "..."] | None = None,
+        *,
+        size: tuple[int, int] | None = None,
+        pixels: Int[Array, " n"] | None = None,
+        method: str = "auto",
+    ) -> Float[Array, "..."]:
+        """See ``Mitchell``; ``mask`` (h, w) is what of the picture is open."""
+        light = self.light_pass(mask, size=size, pixels=pixels, method=method)
+        return self.composite(light, size or mask.shape[:2], pixels)
+
+    def light_pass(self, mask, *, size=None, pixels=None, method="auto"):
+        """The light pass alone, (h, w) or (n,)."""
+
+        def passed(numbers):
+            at = eqx.tree_at(lambda m: (m.shading, m.shape), self, _split(self.shading, numbers))
+            light = functools.partial(at.shading.light_pass, method=method)
+            return at_pixels(light, at.occlusion(mask), size, pixels)
+
+        numbers = jnp.stack([*self.shading.values().values(), *self.shape])
+        return _with_jacobian(passed, numbers)
+
+    def composite(self, light, size: tuple[int, int], pixels=None):
+        """The light pass on the background: (h, w, c) or (n, c), without c where it is 1."""
+        every = jnp.arange(size[0] * size[1]) if pixels is None else pixels
+        back = terms(every, size, self.background.shape[0]) @ self.background
+        back = back.reshape(*light.shape, -1)
+        if self.convention.blend == "screen":
+            out = back + light[..., None] - back * light[..., None]
+        else:
+            out = self.convention.background_gain * back + light[..., None]
+        return out if out.shape[-1] > 1 else out[..., 0]
+
+
+def _split(shading: Mitchell, numbers: Float[Array, " 9"]) -> tuple[Mitchell, Float[Array, " 3"]]:
+    """Scattering and shape from their numbers in one row."""
+    fields = (*numbers[:4], numbers[4:6].reshape(1, 2))
+    at = eqx.tree_at(lambda m: (m.exposure, m.decay, m.density, m.weight, m.light), shading, fields)
+    return at, numbers[6:]
+
+
+def _with_jacobian(function, numbers):
+    """``function(numbers)`` whose derivative by any number of directions costs one by ``numbers``:
+    the coefficients of the background, many, do not change the light pass."""
+
+    @jax.custom_jvp
+    def value(numbers):
+        return function(numbers)
+
+    @value.defjvp
+    def _(primals, tangents):
+        def along(direction):
+            return jax.jvp(function, primals, (direction,))
+
+        unit = jnp.eye(numbers.shape[0], dtype=numbers.dtype)
+        out, columns = jax.vmap(along, out_axes=(None, 0))(unit)
+        return out, jnp.tensordot(tangents[0], columns, 1)
+
+    return value(numbers)

@@ -1,0 +1,94 @@
+"""Occluders from the shadows they throw.
+
+Under a given light the picture is linear in what of the mask is open, so that where colour and
+edges do not tell (glare, panels, lines, objects of the background's own colour) the shadows do: how
+open each such pixel is, between 0 and 1, by least squares over the pixels that the light pass can
+be read from, with a weak pull to what was thought before. What throws no shadow that is seen stays
+as it was thought.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+
+from godfit.disc import DiscLight, terms
+from godfit.observation import LEVELS, Picture
+
+ROWS = 8000
+ROUNDS, STEPS = 4, 60
+# Levels at which a pixel that is off no longer counts in full, and at which the pull to the prior
+# is worth as much as one pixel of the picture.
+HUBER, PULL = 1.0, 3.0
+
+
+def refined(
+    model: DiscLight, picture: Picture, unknown: np.ndarray, prior: np.ndarray, seed: int
+) -> np.ndarray:
+    """(h, w) how open every pixel is: ``picture.mask`` where it is known, between 0 and 1 where
+    ``unknown``. All are (h, w) and of the picture's own size."""
+    h, w = picture.size
+    columns = np.flatnonzero(unknown)
+    usable = np.flatnonzero(picture.valid & ~picture.clipped)
+    if not len(columns) or len(usable) < 100:
+        return picture.mask
+    rng = np.random.default_rng(seed)
+    pixels = np.sort(rng.permutation(usable)[:ROWS])
+    k, c = model.background.shape
+    back = np.asarray(terms(pixels, (h, w), k) @ model.background)
+    goal = (picture.levels.reshape(-1, c)[pixels] / LEVELS - back).mean(1).astype(np.float64)
+    sums = _sums(model, pixels, (h, w))
+    known = np.where(unknown, 0.0, picture.mask).reshape(-1)
+    goal = (goal - sums @ known) * LEVELS
+    design = (sums.tocsc()[:, columns] * LEVELS).tocsr()
+    thought = prior.reshape(-1)[columns].astype(np.float64)
+    share = thought.copy()
+    weight = np.ones(len(goal))
+    for _ in range(ROUNDS):
+        share = _bounded(design, goal, weight, thought, share)
+        off = np.abs(goal - design @ share)
+        weight = np.minimum(1.0, HUBER / np.maximum(off, 1e-9))
+    out = picture.mask.reshape(-1).copy()
+    out[columns] = share
+    return out.reshape(h, w).astype(np.float32)
+
+
+def _bounded(design, goal, weight, thought, start) -> np.ndarray:
+    """Least squares with a pull to ``thought`` inside [0, 1]: accelerated projected gradient (Beck
+    & Teboulle, SIAM J. Imaging Sci. 2 (2009), 183), scaled by the diagonal."""
+    weighted = design.T.multiply(weight).tocsr()
+    # Row sums of |A'WA| bound what a diagonal step may be.
+    size = weighted @ np.asarray(design.sum(1)).ravel() + PULL**2
+    share = ahead = start
+    momentum = 1.0
+    for _ in range(STEPS):
+        slope = weighted @ (design @ ahead - goal) + PULL**2 * (ahead - thought)
+        moved = np.clip(ahead - slope / size, 0, 1)
+        grown = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
+        ahead = moved + (momentum - 1) / grown * (moved - share)
+        share, momentum = moved, grown
+    return share
+
+
+def _sums(model: DiscLight, pixels: np.ndarray, size: tuple[int, int]) -> sparse.csr_matrix:
+    """(pixels, h w): what every texel's openness adds to the light pass at ``pixels``."""
+    h, w = size
+    (taps,) = model.taps
+    lit = np.asarray(model.occlusion(np.ones(size, np.float32)), np.float64).reshape(-1)
+    light = np.asarray(model.light[0], np.float64)
+    row, column = pixels // w, pixels % w
+    t = np.concatenate([[0.0], np.asarray(taps.t, np.float64)])
+    c = np.concatenate([[float(taps.own)], np.asarray(taps.c, np.float64)])
+    x = column[:, None] + t * (light[0] * w - 0.5 - column[:, None])
+    y = row[:, None] + t * ((1 - light[1]) * h - 0.5 - row[:, None])
+    i, j = np.floor(x).astype(int), np.floor(y).astype(int)
+    fx, fy = x - i, y - j
+    texels, shares = [], []
+    for dj, share_y in ((0, 1 - fy), (1, fy)):
+        for di, share_x in ((0, 1 - fx), (1, fx)):
+            texel = np.clip(j + dj, 0, h - 1) * w + np.clip(i + di, 0, w - 1)
+            texels.append(texel)
+            shares.append(c * share_x * share_y * lit[texel])
+    texel, share = np.concatenate(texels, 1), np.concatenate(shares, 1)
+    starts = np.arange(len(pixels) + 1) * texel.shape[1]
+    return sparse.csr_matrix((share.ravel(), texel.ravel(), starts), (len(pixels), h * w))

@@ -1,0 +1,261 @@
+"""A picture that comes with nothing: what is open, where the light is, and the fit of both.
+
+What differs from the background in colour stands in the way, or lies on top; of what only edges cut
+off, or glare hides, the shadows decide. Pixels of objects and panels say nothing themselves: what
+they look like without the light is anybody's guess.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from scipy import ndimage
+
+from godfit import screen_disc
+from godfit.disc import FIRST, TERMS, DiscLight, terms
+from godfit.image import Image
+from godfit.models import Mitchell
+from godfit.observation import LEVELS, Observation, Picture, shrink
+from godfit.occluders import refined
+from godfit.segment import Segments, panels, segments
+from godfit.solver import Point, solve
+
+# Share of pixels that the model may be silent about without being told.
+FOREIGN = 0.02
+# Longest side of the copy that is searched on, taps there, pixels for first and for later looks.
+SIDE, TAPS, FEW, MORE = 240, 48, 2048, 4096
+# Starts followed, those refined with their shadows, pixels of the last look.
+STARTS, FOLLOWED, LAST = 6, 2, 12_000
+VEILS = (None, 0.05)
+# Levels by which the background's colours must vary over the picture to be called smooth.
+SMOOTH = 1.5
+# Half a per cent of the picture: starts that agree on the light.
+AGREE = 0.01
+
+
+class Reading(NamedTuple):
+    """``picture`` with ``mask`` 1 where it is open; ``unknown`` (h, w) is what shadows decide;
+    ``panels`` as (x, y, width, height); ``degree`` of the background."""
+
+    picture: Picture
+    unknown: np.ndarray
+    panels: list[tuple[int, int, int, int]]
+    degree: int
+
+
+class Look(NamedTuple):
+    """Where the search ended: coordinates, the picture with its mask refined, starts that agreed
+    of those tried, and how much of what varies the light explains (1 all)."""
+
+    coordinates: np.ndarray
+    model: DiscLight
+    picture: Picture
+    starts_agreed: tuple[int, int]
+    explained: float
+
+
+def read(target: Image, valid: np.ndarray | None, occluder: np.ndarray | None) -> Reading:
+    """What can be told before any light is known. ``occluder`` (h, w) is True where the user says
+    that something stands in the way."""
+    size = target.values.shape[:2]
+    picture = Picture.make(target, np.ones(size, np.float32), None, valid)
+    picture = dataclasses.replace(picture, foreign=FOREIGN)
+    found = segments(picture.levels, picture.half, picture.valid)
+    lying = panels(found.other | found.doubtful, picture.levels)
+    open_, silent, unknown = _sorted_out(picture, found, lying)
+    if occluder is not None:
+        open_ = np.where(occluder, 0, open_).astype(np.float32)
+        silent |= ndimage.binary_dilation(occluder, iterations=2)
+        unknown &= ~occluder
+    picture = dataclasses.replace(picture, mask=open_, valid=picture.valid & ~silent)
+    return Reading(picture, unknown, lying, 0 if found.variation < SMOOTH else 2)
+
+
+def _sorted_out(picture: Picture, found: Segments, lying: list[tuple[int, int, int, int]]):
+    """(h, w) each: what is open at first sight, what says nothing, what shadows decide."""
+    open_ = np.where(found.other, 0.0, 1.0).astype(np.float32)
+    silent = ndimage.binary_dilation(found.other, iterations=2)
+    unknown = found.other | found.doubtful | (picture.clipped & picture.valid)
+    unknown = ndimage.binary_dilation(unknown)
+    for x, y, wide, tall in lying:
+        over = (slice(y, y + tall), slice(x, x + wide))
+        around = (slice(max(y - 2, 0), y + tall + 2), slice(max(x - 2, 0), x + wide + 2))
+        open_[over], silent[around], unknown[over] = 1.0, True, False
+    # Under what the user looks away from nothing is known: open, unless its shadow is seen.
+    return open_, silent, unknown
+
+
+def template(shading: Mitchell, channels: int, degree: int) -> DiscLight:
+    """The model at no particular point."""
+    return DiscLight(shading, [0.1, 0.003, 0.05], np.zeros((TERMS[degree], channels)))
+
+
+def look(
+    reading: Reading,
+    shading: Mitchell,
+    given: Mapping[str, float],
+    held: Callable[[DiscLight], np.ndarray],
+    seed: int,
+    say: Callable[[str], None],
+) -> Look:
+    """Search on a small copy. ``given`` parameters are not searched for; ``held(model)`` (p,) are
+    those held, NaN where free."""
+    picture = reading.picture
+    small = picture.shrunk(-(-max(picture.size) // SIDE))
+    unknown = shrink(reading.unknown.astype(np.float32), small.size) > 0
+    few = dataclasses.replace(shading, samples=min(shading.samples, TAPS))
+    model = template(few, picture.channels, reading.degree)
+    still = held(model).copy()
+    free = np.isnan(still)
+    if np.isnan(still[[0, 3]]).all():
+        # What tells exposure and weight apart, the pixel's own value, is for a closer look.
+        still[3], free[3] = shading.defaults.get("weight", 0.8), False
+    say("votes for the light")
+    lights = screen_disc.places(small, seed)
+    if {"light_x", "light_y"} <= set(given):
+        lights = np.array([[given["light_x"], given["light_y"]]])
+    say(f"{len(lights)} lights")
+    begun = screen_disc.starts(small, small.mask, TERMS[reading.degree], lights, seed, STARTS)
+    seen = small.observe(small.informative(FEW, seed))
+    points: list[Point] = []
+    for start in begun:
+        for veil in VEILS:
+            z = coordinates_of(start | _veiled(start, veil), model)
+            z = with_background(z, still, model, seen)
+            points.append(solve(z, free, still, model, seen, 8.0, bounded=False))
+    points.sort(key=lambda p: p.cost)
+    say(f"{FOLLOWED} of {len(points)} starts, with their shadows")
+    seen = small.observe(small.informative(MORE, seed + 1))
+    ended = []
+    for point in _apart(points)[:FOLLOWED]:
+        ended.append(_with_shadows(point, small, unknown, free, still, model, seen, seed))
+    point, mask = min(ended, key=lambda e: e[0].cost)
+    agreed = sum(_near(p, point) for p in points)
+    share = _explained(point.coordinates, still, model, dataclasses.replace(small, mask=mask))
+    fine = dataclasses.replace(picture, mask=_enlarged(mask, small.mask, picture.mask))
+    full = template(shading, picture.channels, reading.degree)
+    return Look(point.coordinates, full, fine, (agreed, len(points)), share)
+
+
+def _veiled(start: Mapping[str, float], veil: float | None) -> dict[str, float]:
+    """A start's gains as they would be under a veil of this brightness."""
+    if veil is None:
+        return {}
+    gain = max(start["veil_gain"] / veil, 0.3 * start["gain"])
+    return {"gain": gain * (1 - veil), "veil_gain": gain * veil}
+
+
+def _with_shadows(
+    point: Point,
+    small: Picture,
+    unknown: np.ndarray,
+    free: np.ndarray,
+    held: np.ndarray,
+    model: DiscLight,
+    seen: Observation,
+    seed: int,
+) -> tuple[Point, np.ndarray]:
+    """Light and occluders in turn, until they suit each other."""
+    for sigma in (4.0, 2.0):
+        point = solve(point.coordinates, free, held, model, seen, sigma)
+    prior = small.mask
+    for sigma in (2.0, 1.0, 1.0, 0.5):
+        at = model.moved(point.coordinates, held)
+        small = dataclasses.replace(small, mask=refined(at, small, unknown, prior, seed))
+        seen = dataclasses.replace(seen, mask=small.mask)
+        point = solve(point.coordinates, free, held, model, seen, sigma)
+    return solve(point.coordinates, free, held, model, seen, 1.0), small.mask
+
+
+def _apart(points: list[Point]) -> list[Point]:
+    """Points, cheapest first, with their lights apart."""
+    kept: list[Point] = []
+    for p in points:
+        if np.isfinite(p.cost) and not any(_near(p, q) for q in kept):
+            kept.append(p)
+    return kept or points
+
+
+def _near(p: Point, q: Point) -> bool:
+    return bool(np.abs(p.coordinates[4:6] - q.coordinates[4:6]).max() < AGREE)
+
+
+def _explained(z, held, model: DiscLight, small: Picture) -> float:
+    """1 - (what is left)/(what a smooth background alone would leave), in absolute deviations of
+    the pixels whose light pass can be read."""
+    usable = np.flatnonzero(small.valid & ~small.clipped)
+    seen = small.observe(usable)
+    left = np.abs(residual(z, held, model, seen)).mean()
+    c = seen.channels
+    goal = ((np.asarray(seen.lo) + np.asarray(seen.hi)) / 2).reshape(-1, c)
+    basis = np.asarray(terms(seen.pixels, seen.size, TERMS[3]), np.float64)
+    weight = np.ones(len(goal))
+    for _ in range(10):
+        root = np.sqrt(weight)[:, None]
+        fitted = basis @ np.linalg.lstsq(basis * root, goal * root, rcond=None)[0]
+        off = np.abs(goal - fitted).max(1)
+        weight = 1 / np.maximum(off, 0.5)
+    alone = np.maximum(off - max(small.half, 0.5), 0).mean()
+    return float(1 - left / max(alone, 1e-3))
+
+
+def _enlarged(mask: np.ndarray, before: np.ndarray, fine: np.ndarray) -> np.ndarray:
+    """``fine`` (h, w) with what became of its small copy: as it was where that was confirmed."""
+    (h, w), (rows, columns) = fine.shape, mask.shape
+    at = np.ix_(np.arange(h) * rows // h, np.arange(w) * columns // w)
+    changed = np.abs(mask - before) > 0.25
+    return np.where(changed[at], mask[at], fine).astype(np.float32)
+
+
+def coordinates_of(start: Mapping[str, float], model: DiscLight) -> np.ndarray:
+    """Coordinates of what the screening found; the background is left out."""
+    both = start["gain"] + start["veil_gain"]
+    gain = max(both / model.convention.gain, 1e-2)
+    veil = float(np.clip(start["veil_gain"] / max(both, 1e-9), 0.003, 0.5))
+    weight = model.shading.defaults.get("weight", 0.8)
+    exposure = gain * start["density"] / (model.samples * weight)
+    first = [exposure, start["kappa"], start["density"], gain, start["light_x"], start["light_y"]]
+    rest = np.zeros(model.background.size)
+    return np.array([*first, start["radius"], 0.004, veil, *rest], np.float32)
+
+
+def with_background(
+    z: np.ndarray, held: np.ndarray, model: DiscLight, seen: Observation
+) -> np.ndarray:
+    """Coordinates with the background that suits the rest of them best, by least squares."""
+    light = np.asarray(_light(z, held, model, seen))
+    k, c = model.background.shape
+    lo, hi = (np.asarray(b).reshape(-1, c) for b in (seen.lo, seen.hi))
+    known = np.isfinite(lo).all(1) & np.isfinite(hi).all(1)
+    basis = np.asarray(terms(seen.pixels, seen.size, k))[known]
+    goal = ((lo + hi) / 2)[known] / LEVELS - light[known, None]
+    found = np.linalg.lstsq(basis, goal, rcond=None)[0]
+    # Once more without the tenth that is farthest off.
+    off = np.abs(goal - basis @ found).max(1)
+    close = off <= np.quantile(off, 0.9)
+    found = np.linalg.lstsq(basis[close], goal[close], rcond=None)[0]
+    z = z.copy()
+    z[FIRST:] = found.reshape(-1)
+    return z.astype(np.float32)
+
+
+@eqx.filter_jit
+def _light(z, held, model: DiscLight, seen: Observation):
+    at = model.moved(z, held)
+    return at.light_pass(seen.mask, size=seen.size, pixels=seen.pixels)
+
+
+@eqx.filter_jit
+def _predicted(z, held, model, seen):
+    return seen.predict(model.moved(z, held))
+
+
+def residual(z, held, model, seen) -> np.ndarray:
+    """(n,) how far, in levels, each pixel's worst channel lies outside its interval."""
+    prediction = np.asarray(_predicted(z, held, model, seen))
+    off = np.maximum(np.asarray(seen.lo) - prediction, prediction - np.asarray(seen.hi))
+    return np.maximum(off, 0).reshape(-1, seen.channels).max(1)

@@ -1,0 +1,155 @@
+"""What of a finished picture is open background, and what stands in the way or lies on top.
+
+Light adds the same to every channel, so that whatever the rays do, an open pixel keeps the
+differences between the channels of its background; an object of another colour does not. The
+differences are a smooth field, fitted robustly; clipped channels say only that their value is at
+least so much.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from godfit.disc import POWERS, TERMS
+from godfit.observation import LEVELS
+
+# A difference of channels this many levels off, or this many times its own spread, is another
+# colour.
+LEAST, SPREADS = 4.0, 5.0
+# An edge that light does not make: levels from one pixel to the next.
+SHARP = 10.0
+# Regions smaller than this share of the picture are told apart from nothing.
+SPECK = 2e-5
+PIXELS = 20_000
+
+
+class Segments(NamedTuple):
+    """``other`` (h, w): the colour is not the background's; ``doubtful``: the colour is, but edges
+    cut it off; ``noise``: spread of the differences in levels; ``variation``: that of what is
+    expected of them over the picture."""
+
+    other: np.ndarray
+    doubtful: np.ndarray
+    noise: float
+    variation: float
+
+
+def field(values: np.ndarray, known: np.ndarray, degree: int, rounds: int = 30):
+    """A polynomial of the place through most of ``values`` (h, w) where ``known``: the field (h, w)
+    and the spread about it. Cauchy weights, their width lowered to the spread."""
+    h, w = values.shape
+    at = np.flatnonzero(known)
+    if len(at) > PIXELS:
+        at = np.random.default_rng(0).choice(at, PIXELS, replace=False)
+    x, y = 2 * (at % w + 0.5) / w - 1, 1 - 2 * (at // w + 0.5) / h
+    basis = np.stack([x**i * y**j for i, j in POWERS[: TERMS[degree]]], -1)
+    goal = values.reshape(-1)[at].astype(np.float64)
+    # The commonest value to begin with.
+    counts, ends = np.histogram(goal, bins=np.arange(goal.min() - 1, goal.max() + 3, 2.0))
+    counts = ndimage.uniform_filter1d(counts.astype(float), 3)
+    best = int(counts.argmax())
+    coefficients = np.zeros(basis.shape[1])
+    coefficients[0] = (ends[best] + ends[best + 1]) / 2
+    width = 40.0
+    for _ in range(rounds):
+        off = goal - basis @ coefficients
+        weight = 1 / (1 + (off / width) ** 2) ** 2
+        gram = basis.T @ (basis * weight[:, None]) + 1e-9 * np.eye(basis.shape[1])
+        coefficients = np.linalg.solve(gram, basis.T @ (weight * goal))
+        close = np.abs(off)[weight > 0.25]
+        spread = 1.4826 * float(np.median(close)) if len(close) else 1.0
+        width = max(0.7 * width, 3 * spread, 1.0)
+    rows, columns = np.arange(h), np.arange(w)
+    px, py = 2 * (columns + 0.5) / w - 1, 1 - 2 * (rows + 0.5) / h
+    whole = sum(
+        c * px[None] ** i * py[:, None] ** j
+        for c, (i, j) in zip(coefficients, POWERS, strict=False)
+    )
+    return whole, max(spread, 0.3)
+
+
+def segments(levels: np.ndarray, half: float, valid: np.ndarray) -> Segments:
+    """Regions of a picture (h, w, c) in levels; ``half`` is half the step between two levels."""
+    h, w, channels = levels.shape
+    top, bottom = levels >= LEVELS - half - 0.5, levels <= half
+    other, noise, variation = np.zeros((h, w), bool), 0.3, 0.0
+    for a, b in ((0, 1), (2, 1)) if channels == 3 else ():
+        known = valid & ~(top[..., a] | top[..., b] | bottom[..., a] | bottom[..., b])
+        if known.mean() < 0.02:
+            continue
+        difference = levels[..., a].astype(np.float64) - levels[..., b]
+        expected, spread = field(difference, known, 2)
+        noise, variation = max(noise, spread), max(variation, float(expected.std()))
+        limit = max(LEAST, SPREADS * spread)
+        off = difference - expected
+        # a clipped at the top is at least so large, b at the bottom at most so small.
+        more = (top[..., a] | bottom[..., b]) & ~(top[..., b] | bottom[..., a])
+        less = (top[..., b] | bottom[..., a]) & ~(top[..., a] | bottom[..., b])
+        neither = (top[..., a] & top[..., b]) | (bottom[..., a] & bottom[..., b])
+        wrong = np.abs(off) > limit
+        wrong = np.where(more, off > limit, np.where(less, off < -limit, wrong))
+        other |= wrong & ~neither
+    other = _without_specks(other & valid, SPECK if noise < 1 else 30 * SPECK)
+    doubtful = _cut_off(levels, other, valid, top.any(-1), max(SHARP, 4 * noise))
+    return Segments(other, doubtful, noise, variation)
+
+
+def _without_specks(region: np.ndarray, speck: float = SPECK) -> np.ndarray:
+    """Without what is a pixel wide, and with holes as small filled."""
+    region = ndimage.median_filter(region.astype(np.uint8), 3).astype(bool)
+    label, count = ndimage.label(region)
+    if not count:
+        return region
+    size = np.bincount(label.ravel())
+    small = size < max(6, speck * region.size)
+    return region & ~small[label]
+
+
+def _cut_off(levels, other, valid, clipped, sharp) -> np.ndarray:
+    """What sharp edges cut off from the largest region of the background's colour."""
+    bright = levels.max(-1)
+    steep = np.zeros(bright.shape, bool)
+    for axis in (0, 1):
+        step = np.abs(np.diff(bright, axis=axis)) > sharp
+        pad = [(0, 1), (0, 0)] if axis == 0 else [(0, 0), (0, 1)]
+        steep |= np.pad(step, pad)
+        steep |= np.pad(step, [p[::-1] for p in pad])
+    ground = ~steep & ~other & valid & ~clipped
+    label, count = ndimage.label(ground)
+    if not count:
+        return np.zeros_like(other)
+    size = np.bincount(label.ravel())
+    size[0] = 0
+    main = label == size.argmax()
+    rest = ~main & ~other & valid & ~clipped
+    # Steep pixels beside the main region are its own rays' edges until a fit says otherwise.
+    cut = ndimage.binary_opening(rest & ~ndimage.binary_dilation(main, iterations=2))
+    return _without_specks(cut)
+
+
+def panels(other: np.ndarray, levels: np.ndarray) -> list[tuple[int, int, int, int]]:
+    """(x, y, width, height) of flat rectangles with hard, upright edges among what is ``other``."""
+    h, w = other.shape
+    found = []
+    closed = ndimage.binary_closing(np.pad(other, 12, mode="edge"), iterations=6)[12:-12, 12:-12]
+    label, _ = ndimage.label(closed)
+    for number, where in enumerate(ndimage.find_objects(label), 1):
+        if where is None:
+            continue
+        rows, columns = where
+        tall, wide = rows.stop - rows.start, columns.stop - columns.start
+        if tall * wide < 2e-3 * h * w or min(tall, wide) < 10:
+            continue
+        inside = ndimage.binary_fill_holes(label[where] == number)
+        if inside.mean() < 0.93:
+            continue
+        # Flat: most of it is of very few colours.
+        colours = levels[where].reshape(-1, levels.shape[-1]).astype(np.int64)
+        code = np.array([1 << 16, 1 << 8, 1])[: colours.shape[1]]
+        _, counts = np.unique(colours @ code, return_counts=True)
+        if np.sort(counts)[::-1][:4].sum() > 0.5 * counts.sum():
+            found.append((columns.start, rows.start, wide, tall))
+    return found
