@@ -58,7 +58,9 @@ def made(
         inward = np.arctan2(0.5 - centre[1], w / h / 2 - centre[0]) + rng.uniform(-1, 1)
         turn = rng.uniform(0, 2 * np.pi) if i == 0 and 0 < light.min() < light.max() < 1 else inward
         place = centre + away * np.array([np.cos(turn), np.sin(turn)])
-        shape = _object(rng, x - place[0], y - place[1], rng.uniform(0.08, 0.2))
+        # A grille only where glare does not hide it: its bars cannot be told there.
+        kinds = 3 if i == 0 else 4
+        shape = _object(rng, x - place[0], y - place[1], rng.uniform(0.08, 0.2), kinds)
         painted[shape] = _shaded(rng, x, y)[shape]
         solid |= shape
     veil = rng.uniform(0.02, 0.1)
@@ -135,11 +137,11 @@ def _background(rng: np.random.Generator, kind: str, size: tuple[int, int]) -> n
     return np.clip(field + texture[..., None] * rng.uniform(0.5, 1.5, 3), 0, 1)
 
 
-def _object(rng: np.random.Generator, x, y, radius: float) -> np.ndarray:
-    """(h, w) True inside a star, an ellipse with a hole, or bars."""
+def _object(rng: np.random.Generator, x, y, radius: float, kinds: int) -> np.ndarray:
+    """(h, w) True inside one of the first ``kinds``: star, ellipse with a hole, box, grille."""
     turn = rng.uniform(0, np.pi)
     along, across = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
-    kind = rng.integers(3)
+    kind = rng.integers(kinds)
     if kind == 0:
         angle = np.arctan2(y, x)
         waves = sum(
@@ -149,6 +151,8 @@ def _object(rng: np.random.Generator, x, y, radius: float) -> np.ndarray:
     if kind == 1:
         outer = np.hypot(along / radius, across / (radius * rng.uniform(0.5, 1)))
         return (outer < 1) & (np.hypot(along + 0.4 * radius, across) > rng.uniform(0, 0.3) * radius)
+    if kind == 2:
+        return np.maximum(np.abs(along), 1.6 * np.abs(across)) < radius
     bars = np.abs((across / radius * 3) % 1 - 0.5) < rng.uniform(0.2, 0.35)
     rim = np.maximum(np.abs(along), np.abs(across)) > 0.85 * radius
     return (bars | rim) & (np.maximum(np.abs(along), np.abs(across)) < radius)

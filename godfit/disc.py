@@ -164,7 +164,7 @@ class DiscLight(AbstractModel):
     ) -> Float[Array, "..."]:
         """See ``Mitchell``; ``mask`` (h, w) is what of the picture is open."""
         light = self.light_pass(mask, size=size, pixels=pixels, method=method)
-        return self.composite(light, size or mask.shape[:2], pixels)
+        return self.composite(light, size or (mask.shape[0], mask.shape[1]), pixels)
 
     def light_pass(self, mask, *, size=None, pixels=None, method="auto"):
         """The light pass alone, (h, w) or (n,)."""

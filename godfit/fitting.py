@@ -12,13 +12,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from godfit import dips, inputs, restarts, screen, screen_air, search
+from godfit import dips, inputs, restarts, screen, screen_air, search, unaided
 from godfit.contested import agreed
 from godfit.errors import InputError
 from godfit.flatland import inputs as plane
 from godfit.flatland.model import Flatland
 from godfit.flatland.starts import starts as starts_in_plane
 from godfit.hoffman_preetham import HoffmanPreetham
+from godfit.image import Image
 from godfit.inference import evidence, undetermined
 from godfit.inputs import Source
 from godfit.models import AbstractModel, Mitchell
@@ -35,6 +36,7 @@ AGAIN = 3
 # More values than this say nothing new, and their derivatives would fill the memory.
 MAX_VALUES = 1 << 21
 Say = Callable[[str], None]
+NOTHING = np.zeros((0, 0), np.float32)
 
 
 def fit(
@@ -46,6 +48,7 @@ def fit(
     model: str | None = None,
     free: Sequence[str] = (),
     background: Source | None = None,
+    occluder: Source | None = None,
     shader: str | None = None,
     samples: int | None = None,
     rays: int | None = None,
@@ -69,7 +72,8 @@ def fit(
     - `target`: a file, an `Image`, or an array (h, w) or (h, w, 3), row 0 at the top; arrays of
       integers are bytes (or 16-bit words), of floats linear values without rounding.
     - `mask`: the occlusion mask the scattering pass reads; linear, same aspect. A smaller one means
-      a light pass at lower resolution.
+      a light pass at lower resolution. With neither mask nor scene nor canvas, the light is a disc
+      on a veil behind what is read off the target, see `godfit.screenshot`.
     - `scene`: in place of a mask, the scene (or its file) that the mask is drawn from. Its light is
       where the search starts; shader, samples and the like may stand in it.
     - `canvas`: in place of a mask, what is drawn in the plane: a `godfit.flatland.Canvas`, an image
@@ -81,6 +85,8 @@ def fit(
       `"object[0].rotation"`; the light on the screen is then the scene's. Without, the mask is
       drawn once, with or without anti-aliasing, whichever the picture agrees with.
     - `background`: the ordinary pass that the light is laid on, as large as the target.
+    - `occluder`: without a mask, (h, w), what stands in the way beside what is read off the target:
+      wherever it is not black.
     - `shader`, `samples`: a name in `godfit.taps.CONVENTIONS`, by default the scene's or
       `"mitchell"`; its own default number of samples.
     - `rays`: of the light in the plane, for each pixel, by default 64.
@@ -107,9 +113,10 @@ def fit(
     inputs.check_model(model, free, shader, lights, fov, distance)
     if model == Flatland.name:
         _check_plane(canvas, mask, scene, background, samples, pass_scale)
-    elif (mask is None) == (scene is None):
-        got = "neither" if mask is None else "both"
-        raise InputError(f"fit: expected a mask or a scene, got {got}")
+    elif mask is not None and scene is not None:
+        raise InputError("fit: expected a mask or a scene, got both")
+    elif mask is None and scene is None:
+        inputs.check_unaided(model, lights, background)
     elif canvas is not None or rays is not None:
         raise InputError(f"canvas, rays: expected --model {Flatland.name} with them, got {model}")
     given = {"shader": shader, "samples": samples, "pass_scale": pass_scale}
@@ -121,9 +128,9 @@ def fit(
         settings |= {k: v for k, v in given.items() if v is not None}
         try:
             return _fit(
-                target, mask, background, scene, (canvas, rays), model, tuple(free), settings,
-                lights, (fov, distance), fix or {}, start or {}, valid, transfer, channels, inquire,
-                seed, progress or (lambda text: None),
+                target, mask, background, occluder, scene, (canvas, rays), model, tuple(free),
+                settings, lights, (fov, distance), fix or {}, start or {}, valid, transfer,
+                channels, inquire, seed, progress or (lambda text: None),
             )  # fmt: skip
         except jax.errors.JaxRuntimeError as error:
             raise InputError.within(error) or error from error
@@ -148,6 +155,7 @@ def _fit(
     target: Source,
     mask: Source | None,
     background: Source | None,
+    occluder: Source | None,
     scene: Scene | None,
     drawn: tuple[plane.Source | None, int | None],
     kind: str,
@@ -168,6 +176,16 @@ def _fit(
     images = {"target": inputs.image(target, transfer)}
     pass_scale, notes = settings.get("pass_scale", 1.0), ()
     daylight = kind == HoffmanPreetham.name
+    if mask is None and scene is None and drawn[0] is None:
+        shading = inputs.template(settings.get("shader", "mitchell"), settings.get("samples"), 1)
+        blocked = None
+        if occluder is not None:
+            images["occluder"] = inputs.image(occluder, "none")
+            blocked = inputs.blocked(images["occluder"], images["target"])
+        found, given, notes = unaided.found_in(
+            images["target"], shading, valid, blocked, pass_scale, fix, start, inquire, seed, say
+        )
+        return _concluded(_hold_open(found, given), notes, images, (began, compiled), seed)
     if scene is not None:
         scene = inputs.scene_for(scene, images["target"], pass_scale)
         notes, pass_scale = tuple(f"scene: {note}" for note in scene.notes), 1.0
@@ -202,8 +220,7 @@ def _fit(
             images["target"], images["mask"], images.get("background"), valid, pass_scale,
             channels or model.channels,
         )  # fmt: skip
-    notes += tuple(f"{role}: {note}" for role, im in images.items() for note in im.notes)
-    files = {role: {"path": im.path, "sha256": im.sha256} for role, im in images.items()}
+    roles = {r: dataclasses.replace(im, values=NOTHING) for r, im in images.items()}
     # What the picture does not need of them would stay in memory to the end.
     del images, target, mask, background
     given, held = inputs.parameters(model, fix, start)
@@ -224,8 +241,22 @@ def _fit(
         begun = _starts(picture, model, given, seed)
         picture = agreed(picture, scene, model, begun, free, held, seed)
     found = _look(picture, model, given, free, held, opened, inquire, seed, say)
-    timing = {"compile": compile_seconds() - compiled, "solve": time.perf_counter() - began}
-    return verdict(found, used, notes, files, timing, seed)
+    return _concluded(found, notes, roles, (began, compiled), seed)
+
+
+def _concluded(
+    found: Found,
+    notes: tuple[str, ...],
+    images: dict[str, Image],
+    since: tuple[float, float],
+    seed: int,
+) -> FitResult:
+    """The result, with what the images' files say of themselves; ``since`` is when, and with how
+    many seconds of compiling behind, the fit began."""
+    notes += tuple(f"{role}: {note}" for role, im in images.items() for note in im.notes)
+    files = {role: {"path": im.path, "sha256": im.sha256} for role, im in images.items()}
+    timing = {"compile": compile_seconds() - since[1], "solve": time.perf_counter() - since[0]}
+    return verdict(found, found.model.used, notes, files, timing, seed)
 
 
 def _look(

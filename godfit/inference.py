@@ -161,6 +161,11 @@ def misfit(prediction: np.ndarray, seen: Observation) -> Misfit:
     inside = np.isfinite(lo) & np.isfinite(hi)
     residual = (np.where(inside, lo, 0) + np.where(inside, hi, 0)) / 2
     residual = np.where(inside, np.asarray(prediction) - residual, 0.0)
+    if seen.foreign:
+        # Of those that are foreign nobody says that they are noise.
+        spread = 1.4826 * float(np.median(np.abs(residual[inside]))) if inside.any() else 0.0
+        inside &= np.abs(residual) < 5 * max(spread, 0.3)
+        residual = np.where(inside, residual, 0.0)
     count = max(int(np.count_nonzero(inside)), 1)
     square = np.square(residual)
     power = float(square.sum(dtype=np.float64)) / count

@@ -84,6 +84,27 @@ def picture(
     return Picture.make(target, values, back, valid, channels)
 
 
+def check_unaided(model: str, lights: int, background: Source | None) -> None:
+    """Raise InputError for what a fit without mask and scene does not do."""
+    if model != Mitchell.name:
+        raise InputError(f"mask: expected --mask or --scene with the model {model}, got neither")
+    if lights != 1:
+        raise InputError(f"lights: expected 1 without a mask, got {lights}; give --mask")
+    if background is not None:
+        raise InputError("background: expected none without a mask, got one; give --mask as well")
+
+
+def blocked(occluder: Image, target: Image) -> np.ndarray:
+    """(h, w) True where the image is not black."""
+    (h, w), (height, width) = target.values.shape[:2], occluder.values.shape[:2]
+    if (h, w) != (height, width):
+        raise InputError(
+            f"occluder: expected the target's {w}x{h} pixels, got {width}x{height}; "
+            "draw it over the target"
+        )
+    return np.asarray((np.atleast_3d(occluder.values) > 0).any(-1))
+
+
 def shrink_mask(mask: np.ndarray, pass_scale: float) -> np.ndarray:
     """The mask at the light pass's own size, averaged over cells."""
     if not 0 < pass_scale <= 1:

@@ -138,5 +138,6 @@ def _residuals(prediction, lo, hi, sigma, foreign):
 
 @deviance_residuals.defjvp
 def _deviance_residuals_jvp(foreign, primals, tangents):
-    residuals, slope = _residuals(*primals, foreign)
+    prediction, lo, hi, sigma = primals
+    residuals, slope = _residuals(prediction, lo, hi, sigma, foreign)
     return residuals, slope * tangents[0]

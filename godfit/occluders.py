@@ -9,6 +9,7 @@ as it was thought.
 
 from __future__ import annotations
 
+import jax.numpy as jnp
 import numpy as np
 from scipy import sparse
 
@@ -35,7 +36,7 @@ def refined(
     rng = np.random.default_rng(seed)
     pixels = np.sort(rng.permutation(usable)[:ROWS])
     k, c = model.background.shape
-    back = np.asarray(terms(pixels, (h, w), k) @ model.background)
+    back = np.asarray(terms(jnp.asarray(pixels), (h, w), k) @ model.background)
     goal = (picture.levels.reshape(-1, c)[pixels] / LEVELS - back).mean(1).astype(np.float64)
     sums = _sums(model, pixels, (h, w))
     known = np.where(unknown, 0.0, picture.mask).reshape(-1)
@@ -74,7 +75,7 @@ def _sums(model: DiscLight, pixels: np.ndarray, size: tuple[int, int]) -> sparse
     """(pixels, h w): what every texel's openness adds to the light pass at ``pixels``."""
     h, w = size
     (taps,) = model.taps
-    lit = np.asarray(model.occlusion(np.ones(size, np.float32)), np.float64).reshape(-1)
+    lit = np.asarray(model.occlusion(jnp.ones(size)), np.float64).reshape(-1)
     light = np.asarray(model.light[0], np.float64)
     row, column = pixels // w, pixels % w
     t = np.concatenate([[0.0], np.asarray(taps.t, np.float64)])

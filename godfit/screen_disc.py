@@ -20,6 +20,7 @@ from scipy import ndimage
 from godfit.disc import POWERS
 from godfit.observation import LEVELS, Picture, shrink
 from godfit.screen import DENSITIES, STEPS, read_rays
+from godfit.segment import regions
 
 SIZE, FINE = 64, 128
 POINTS = 768
@@ -74,13 +75,13 @@ def _bright(picture: Picture, keep: int = 6) -> np.ndarray:
     """(at most keep, 2) middles of the brightest compact regions."""
     h, w = picture.size
     bright = ndimage.gaussian_filter(picture.levels.min(-1), max(h, w) / 100)
-    known = ndimage.binary_fill_holes(picture.valid | picture.clipped)
-    bright = np.where(known, bright, 0)
+    known = np.asarray(ndimage.binary_fill_holes(picture.valid | picture.clipped))
+    bright = np.where(known, np.asarray(bright), 0)
     found = []
     for share in (0.999, 0.99, 0.96):
-        label, count = ndimage.label(bright >= min(np.quantile(bright[known], share), 250))
+        label, count = regions(bright >= min(np.quantile(bright[known], share), 250))
         for i in 1 + np.argsort(-np.bincount(label.ravel())[1:])[:2] if count else ():
-            row, column = ndimage.center_of_mass(label == i)
+            row, column = np.argwhere(label == i).mean(0)
             found.append(((column + 0.5) / w, 1 - (row + 0.5) / h))
     return np.array(found[:keep]).reshape(-1, 2)
 

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
-from scipy import ndimage
 
 from godfit import screen_disc
 from godfit.disc import FIRST, TERMS, DiscLight, terms
@@ -21,18 +20,24 @@ from godfit.image import Image
 from godfit.models import Mitchell
 from godfit.observation import LEVELS, Observation, Picture, shrink
 from godfit.occluders import refined
-from godfit.segment import Segments, panels, segments
+from godfit.segment import Segments, grown, panels, segments
 from godfit.solver import Point, solve
 
 # Share of pixels that the model may be silent about without being told.
 FOREIGN = 0.02
 # Longest side of the copy that is searched on, taps there, pixels for first and for later looks.
 SIDE, TAPS, FEW, MORE = 240, 48, 2048, 4096
-# Starts followed, those refined with their shadows, pixels of the last look.
-STARTS, FOLLOWED, LAST = 6, 2, 12_000
+# Starts followed, and those refined with their shadows.
+STARTS, FOLLOWED = 6, 2
+# Pixels of the last look, in blocks of so many a side: what errs together is told by neighbours.
+LAST, BLOCK = 16_384, 16
 VEILS = (None, 0.05)
+# Noise in levels that the first steps allow for, and the points that go on for more of them.
+COARSE, AGAIN = 8.0, 4
 # Levels by which the background's colours must vary over the picture to be called smooth.
 SMOOTH = 1.5
+# Longest side of the copy on which it is asked how much the light explains: texture is no light.
+COPY = 60
 # Half a per cent of the picture: starts that agree on the light.
 AGREE = 0.01
 
@@ -69,7 +74,7 @@ def read(target: Image, valid: np.ndarray | None, occluder: np.ndarray | None) -
     open_, silent, unknown = _sorted_out(picture, found, lying)
     if occluder is not None:
         open_ = np.where(occluder, 0, open_).astype(np.float32)
-        silent |= ndimage.binary_dilation(occluder, iterations=2)
+        silent |= grown(occluder, 2)
         unknown &= ~occluder
     picture = dataclasses.replace(picture, mask=open_, valid=picture.valid & ~silent)
     return Reading(picture, unknown, lying, 0 if found.variation < SMOOTH else 2)
@@ -78,9 +83,9 @@ def read(target: Image, valid: np.ndarray | None, occluder: np.ndarray | None) -
 def _sorted_out(picture: Picture, found: Segments, lying: list[tuple[int, int, int, int]]):
     """(h, w) each: what is open at first sight, what says nothing, what shadows decide."""
     open_ = np.where(found.other, 0.0, 1.0).astype(np.float32)
-    silent = ndimage.binary_dilation(found.other, iterations=2)
+    silent = grown(found.other, 2)
     unknown = found.other | found.doubtful | (picture.clipped & picture.valid)
-    unknown = ndimage.binary_dilation(unknown)
+    unknown = grown(unknown)
     for x, y, wide, tall in lying:
         over = (slice(y, y + tall), slice(x, x + wide))
         around = (slice(max(y - 2, 0), y + tall + 2), slice(max(x - 2, 0), x + wide + 2))
@@ -126,8 +131,12 @@ def look(
         for veil in VEILS:
             z = coordinates_of(start | _veiled(start, veil), model)
             z = with_background(z, still, model, seen)
-            points.append(solve(z, free, still, model, seen, 8.0, bounded=False))
+            # Wide first: what is far off must not pass for foreign.
+            z = solve(z, free, still, model, seen, 4 * COARSE).coordinates
+            points.append(solve(z, free, still, model, seen, COARSE))
     points.sort(key=lambda p: p.cost)
+    again = [solve(p.coordinates, free, still, model, seen, COARSE) for p in points[:AGAIN]]
+    points = sorted([*again, *points[AGAIN:]], key=lambda p: p.cost)
     say(f"{FOLLOWED} of {len(points)} starts, with their shadows")
     seen = small.observe(small.informative(MORE, seed + 1))
     ended = []
@@ -138,7 +147,20 @@ def look(
     share = _explained(point.coordinates, still, model, dataclasses.replace(small, mask=mask))
     fine = dataclasses.replace(picture, mask=_enlarged(mask, small.mask, picture.mask))
     full = template(shading, picture.channels, reading.degree)
-    return Look(point.coordinates, full, fine, (agreed, len(points)), share)
+    z = np.asarray(model.moved(point.coordinates, still).coordinates(), np.float32)
+    return Look(z, full, fine, (agreed, len(points)), share)
+
+
+def blocks(picture: Picture, seed: int) -> np.ndarray:
+    """Sorted indices of the valid pixels in blocks drawn at random, all where there are few."""
+    h, w = picture.size
+    rows, columns = -(-h // BLOCK), -(-w // BLOCK)
+    order = np.random.default_rng(seed).permutation(rows * columns)
+    rank = np.empty(rows * columns, int)
+    rank[order] = np.arange(len(order))
+    rank = np.kron(rank.reshape(rows, columns), np.ones((BLOCK, BLOCK), int))[:h, :w]
+    count = np.cumsum(np.bincount(rank[picture.valid], minlength=rows * columns))
+    return np.flatnonzero(picture.valid & (rank <= np.searchsorted(count, LAST)))
 
 
 def _veiled(start: Mapping[str, float], veil: float | None) -> dict[str, float]:
@@ -187,11 +209,13 @@ def _near(p: Point, q: Point) -> bool:
 def _explained(z, held, model: DiscLight, small: Picture) -> float:
     """1 - (what is left)/(what a smooth background alone would leave), in absolute deviations of
     the pixels whose light pass can be read."""
+    small = small.shrunk(-(-max(small.size) // COPY))
     usable = np.flatnonzero(small.valid & ~small.clipped)
+    if len(usable) < 50:
+        return 0.0
     seen = small.observe(usable)
     left = np.abs(residual(z, held, model, seen)).mean()
-    c = seen.channels
-    goal = ((np.asarray(seen.lo) + np.asarray(seen.hi)) / 2).reshape(-1, c)
+    goal = small.levels.reshape(-1, small.channels)[usable].astype(np.float64)
     basis = np.asarray(terms(seen.pixels, seen.size, TERMS[3]), np.float64)
     weight = np.ones(len(goal))
     for _ in range(10):
@@ -230,9 +254,11 @@ def with_background(
     light = np.asarray(_light(z, held, model, seen))
     k, c = model.background.shape
     lo, hi = (np.asarray(b).reshape(-1, c) for b in (seen.lo, seen.hi))
-    known = np.isfinite(lo).all(1) & np.isfinite(hi).all(1)
+    known = np.isfinite(hi).all(1)
+    if not known.any():
+        return z
     basis = np.asarray(terms(seen.pixels, seen.size, k))[known]
-    goal = ((lo + hi) / 2)[known] / LEVELS - light[known, None]
+    goal = ((np.maximum(lo, 0) + hi) / 2)[known] / LEVELS - light[known, None]
     found = np.linalg.lstsq(basis, goal, rcond=None)[0]
     # Once more without the tenth that is farthest off.
     off = np.abs(goal - basis @ found).max(1)

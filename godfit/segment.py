@@ -64,10 +64,9 @@ def field(values: np.ndarray, known: np.ndarray, degree: int, rounds: int = 30):
         width = max(0.7 * width, 3 * spread, 1.0)
     rows, columns = np.arange(h), np.arange(w)
     px, py = 2 * (columns + 0.5) / w - 1, 1 - 2 * (rows + 0.5) / h
-    whole = sum(
-        c * px[None] ** i * py[:, None] ** j
-        for c, (i, j) in zip(coefficients, POWERS, strict=False)
-    )
+    powers = POWERS[: len(coefficients)]
+    each = [c * px**i * py[:, None] ** j for c, (i, j) in zip(coefficients, powers, strict=True)]
+    whole = np.sum(each, 0)
     return whole, max(spread, 0.3)
 
 
@@ -97,10 +96,21 @@ def segments(levels: np.ndarray, half: float, valid: np.ndarray) -> Segments:
     return Segments(other, doubtful, noise, variation)
 
 
+def regions(region: np.ndarray) -> tuple[np.ndarray, int]:
+    """(h, w) numbers of the connected regions, 0 outside them, and how many there are."""
+    label = np.zeros(region.shape, np.int32)
+    return label, int(ndimage.label(region, output=label))  # pyright: ignore[reportArgumentType]
+
+
+def grown(region: np.ndarray, by: int = 1) -> np.ndarray:
+    """``region`` (h, w) and what lies within ``by`` steps of it."""
+    return np.asarray(ndimage.binary_dilation(region, iterations=by))
+
+
 def _without_specks(region: np.ndarray, speck: float = SPECK) -> np.ndarray:
     """Without what is a pixel wide, and with holes as small filled."""
-    region = ndimage.median_filter(region.astype(np.uint8), 3).astype(bool)
-    label, count = ndimage.label(region)
+    region = np.asarray(ndimage.median_filter(region.astype(np.uint8), 3)) > 0
+    label, count = regions(region)
     if not count:
         return region
     size = np.bincount(label.ravel())
@@ -118,7 +128,7 @@ def _cut_off(levels, other, valid, clipped, sharp) -> np.ndarray:
         steep |= np.pad(step, pad)
         steep |= np.pad(step, [p[::-1] for p in pad])
     ground = ~steep & ~other & valid & ~clipped
-    label, count = ndimage.label(ground)
+    label, count = regions(ground)
     if not count:
         return np.zeros_like(other)
     size = np.bincount(label.ravel())
@@ -126,7 +136,7 @@ def _cut_off(levels, other, valid, clipped, sharp) -> np.ndarray:
     main = label == size.argmax()
     rest = ~main & ~other & valid & ~clipped
     # Steep pixels beside the main region are its own rays' edges until a fit says otherwise.
-    cut = ndimage.binary_opening(rest & ~ndimage.binary_dilation(main, iterations=2))
+    cut = np.asarray(ndimage.binary_opening(rest & ~grown(main, 2)))
     return _without_specks(cut)
 
 
@@ -134,8 +144,9 @@ def panels(other: np.ndarray, levels: np.ndarray) -> list[tuple[int, int, int, i
     """(x, y, width, height) of flat rectangles with hard, upright edges among what is ``other``."""
     h, w = other.shape
     found = []
-    closed = ndimage.binary_closing(np.pad(other, 12, mode="edge"), iterations=6)[12:-12, 12:-12]
-    label, _ = ndimage.label(closed)
+    closed = ndimage.binary_closing(np.pad(other, 12, mode="edge"), iterations=6)
+    closed = np.asarray(closed)[12:-12, 12:-12]
+    label, _ = regions(closed)
     for number, where in enumerate(ndimage.find_objects(label), 1):
         if where is None:
             continue
@@ -143,7 +154,7 @@ def panels(other: np.ndarray, levels: np.ndarray) -> list[tuple[int, int, int, i
         tall, wide = rows.stop - rows.start, columns.stop - columns.start
         if tall * wide < 2e-3 * h * w or min(tall, wide) < 10:
             continue
-        inside = ndimage.binary_fill_holes(label[where] == number)
+        inside = np.asarray(ndimage.binary_fill_holes(label[where] == number))
         if inside.mean() < 0.93:
             continue
         # Flat: most of it is of very few colours.

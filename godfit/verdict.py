@@ -16,6 +16,11 @@ from godfit.observation import LEVELS, Observation, Picture
 from godfit.result import Estimate, FitResult
 from godfit.solver import linearise
 
+STRUCTURED = (
+    "what is left is not noise ({:.2f} levels, neighbours correlated by {:.2f}): background or "
+    "occluders are more than the model has"
+)
+
 
 @dataclass
 class Found:
@@ -31,6 +36,9 @@ class Found:
     held: np.ndarray
     opened: list[tuple[int, list[int]]]
     inquire: bool = True
+    # What may be wrong, and why the answer is not to be believed at all, in words.
+    remarks: tuple[str, ...] = ()
+    objection: str = ""
     starts_agreed: tuple[int, int] | None = None
     other_transfer: bool = False
 
@@ -90,18 +98,24 @@ def verdict(
     # A pass that is upsampled was rounded once before.
     allowed = search.WITHIN_ROUNDING * (2 if low < full else 1)
     trusted = settled.sigma <= allowed or left.like_noise
+    remarks = found.remarks
+    if picture.foreign and not found.objection:
+        # A person is told, and errors are widened: a model so rough is never all of a picture.
+        remarks += () if trusted else (STRUCTURED.format(settled.sigma, left.correlation),)
+        trusted = True
+    trusted = trusted and not found.objection
     # One line of pixels, repeated, has so many explanations that its errors say nothing.
     a_line = picture.repeats > 1 and int(free.sum()) > 2
     converged = trusted and settled.quiet and not a_line
     return FitResult(
         converged=converged,
-        message=_message(settled, trusted, left, a_line),
+        message=found.objection or _message(settled, trusted, left, a_line),
         model=fitted,
         params=params,
         covariance=covariance,
         correlations=_correlations(names, covariance),
         undetermined=_sentences(open_, names, values, model.product),
-        warnings=tuple(s.words for s in suspects),
+        warnings=(*(s.words for s in suspects), *remarks),
         notes=notes,
         noise_levels=settled.sigma,
         rmse_levels=rmse,

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("target")
 @PICTURE
+@click.option("--occluder", help="Without a mask: what stands in the way, where not black.")
 @click.option("--model", help="mitchell, hoffman-preetham or flatland. [default: mitchell]")
 @click.option("--free", multiple=True, metavar="NAME", help="Fit this of the scene as well.")
 @click.option("--lights", type=int, help="Number of lights. [default: 1]")
@@ -56,13 +57,16 @@ def fit(
     A TARGET x.png with an x.toml beside it takes its mask or scene, shader and samples from there;
     options override it. The result goes to x.godfit/: fit.json, fit.png, render.png.
 
+    With neither a mask nor a scene TARGET is a finished picture: background, objects in the way,
+    panels on top and the light's disc are read off it, and fitted together.
+
     With --scene the mask is drawn from meshes. --free light.position (or light.radius,
     camera.position, object[0].position, object[0].rotation, ...) fits that as well. With --canvas
     the sun, the sky and the exposure of light in the plane are fitted.
     """
     fixed = assignments(fix, "--fix", optional=True)
     started = assignments(start, "--start", optional=False)
-    study = opened(target, given, ignore, output, plane=True)
+    study = opened(target, given, ignore, output, alone=True)
     only_one(study.options, given)
     if free and "scene" not in study.options:
         raise click.UsageError(f"--free {free[0]}: expected --scene SCENE.toml with it, got a mask")

@@ -56,10 +56,10 @@ def opened(
     ignore: tuple[str, ...],
     output: str | None,
     *,
-    plane: bool = False,
+    alone: bool = False,
 ) -> Study:
     """The target with its options: those of the file beside it, and ``given`` ones in their place.
-    In the ``plane`` a canvas will do for a mask."""
+    ``alone`` it need not come with a mask or a scene."""
     from godfit.image import read_image
     from godfit.sidecar import read_sidecar
 
@@ -73,7 +73,7 @@ def opened(
             options.pop(other, None)
     if "mask" in options and "scene" in options:
         raise click.UsageError("expected --mask or --scene, got both; a scene draws its own mask")
-    if "mask" not in options and "scene" not in options and not (plane and "canvas" in options):
+    if "mask" not in options and "scene" not in options and not alone:
         raise click.UsageError(
             "expected --mask IMAGE or --scene SCENE.toml, or "
             f"{Path(target).with_suffix('.toml').name} beside the target naming one; got neither"

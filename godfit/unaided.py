@@ -1,0 +1,110 @@
+"""The fit of a picture that comes with nothing, from its bytes to what was found.
+
+See ``screenshot.py`` for how it is understood. The search runs on a small copy; the answer is
+settled on blocks of the whole picture under a likelihood with heavy tails.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from scipy import ndimage
+
+from godfit import inputs, screenshot, search
+from godfit.disc import DiscLight
+from godfit.errors import InputError
+from godfit.image import Image
+from godfit.inference import evidence
+from godfit.models import Mitchell
+from godfit.observation import Picture
+from godfit.verdict import Found
+
+# Of what varies in a picture, the share that light must explain to be called rays. Photographs,
+# text and noise reach 0, textured screenshots .4.
+RAYS = 0.25
+NO_RAYS = (
+    "no rays were found: a light explains {:.0f}% of what varies in this picture, a smooth "
+    "background the rest"
+)
+DISAGREE = "only {} of {} starts agree on the light: look at fit.png; give --start light_x=..."
+HIDDEN = (
+    "the light's disc is clipped or hidden: radius, veil and exposure trade, and glare may hide "
+    "occluders"
+)
+
+
+def found_in(
+    target: Image,
+    shading: Mitchell,
+    valid: np.ndarray | None,
+    occluder: np.ndarray | None,
+    pass_scale: float,
+    fix: Mapping[str, float | None],
+    start: Mapping[str, float],
+    inquire: bool,
+    seed: int,
+    say: Callable[[str], None],
+) -> tuple[Found, dict[str, float], tuple[str, ...]]:
+    """What was found, the parameters that were given, and notes."""
+    if shading.convention.box:
+        raise InputError(
+            f"mask: expected one with the shader '{shading.shader}', got none; give --mask"
+        )
+    if min(target.values.shape[:2]) < 32:
+        h, w = target.values.shape[:2]
+        raise InputError(f"target: expected at least 32x32 pixels without a mask, got {w}x{h}")
+    say("background, objects, panels")
+    reading = screenshot.read(target, valid, occluder)
+    if np.count_nonzero(reading.picture.valid) < 500:
+        raise InputError(
+            "target: expected some open background, got objects and panels everywhere; give --mask"
+        )
+    notes = tuple(
+        f"a panel at {x},{y},{w},{h} is taken to lie on top and is left out"
+        for x, y, w, h in reading.panels
+    )
+
+    def held_by(model: DiscLight) -> np.ndarray:
+        return inputs.parameters(model, fix, start)[1]
+
+    model = screenshot.template(shading, reading.picture.channels, reading.degree)
+    given, held = inputs.parameters(model, fix, start)
+    looked = screenshot.look(reading, shading, given, held_by, seed, say)
+    model, picture = looked.model, looked.picture
+    picture = dataclasses.replace(
+        picture, mask=inputs.shrink_mask(np.asarray(picture.mask), pass_scale)
+    )
+    free = np.isnan(held) & model.used
+    opened: list[tuple[int, list[int]]] = []
+    if not model.convention.own_pixel and free[0] and free[3]:
+        held[0], free[0] = given.get("exposure", model.shading.defaults["exposure"]), False
+        opened.append((0, [3]))
+    seen = picture.observe(screenshot.blocks(picture, seed))
+    say(f"{len(seen.pixels):,} pixels")
+    settled, tangent = search.settle(looked.coordinates, model, seen, free, held)
+    at = evidence(settled, tangent, seen)
+    found = Found(model, picture, seen, settled, at, free, held, opened, False)
+    found.starts_agreed = looked.starts_agreed
+    objection = "" if looked.explained > RAYS else NO_RAYS.format(100 * max(looked.explained, 0))
+    remarks = []
+    if looked.starts_agreed[0] < 2 and looked.starts_agreed[1] > 1:
+        remarks.append(DISAGREE.format(*looked.starts_agreed))
+    if _hidden(model, settled.coordinates, held, picture):
+        remarks.append(HIDDEN)
+    found = dataclasses.replace(found, remarks=tuple(remarks), objection=objection)
+    return found, given, notes
+
+
+def _hidden(model: DiscLight, z: np.ndarray, held: np.ndarray, picture: Picture) -> bool:
+    """Whether less than a tenth of the light's outline lies where it can be read."""
+    at = model.moved(z, held)
+    h, w = picture.size
+    (u, v), radius = np.asarray(at.light[0]), float(at.shape[0])
+    turn = np.linspace(0, 2 * np.pi, 256, endpoint=False)
+    column = np.floor(u * w + radius * h * np.cos(turn)).astype(int)
+    row = np.floor((1 - v) * h - radius * h * np.sin(turn)).astype(int)
+    inside = (column >= 0) & (column < w) & (row >= 0) & (row < h)
+    known = ndimage.binary_erosion(picture.valid & ~picture.clipped)
+    return bool(np.count_nonzero(known[row[inside], column[inside]]) < 25)
