@@ -54,13 +54,15 @@ def made(
     solid = np.zeros(size, bool)
     painted = _background(rng, background, size)
     for i in range(rng.integers(1, 3)):
-        away = radius * rng.uniform(0.2, 1.2) if i == 0 else rng.uniform(0.25, 0.6)
+        across = rng.uniform(0.08, 0.2)
+        # The first stands before a part of the disc, the second farther off.
+        away = across + radius * rng.uniform(-0.5, 0.5) if i == 0 else rng.uniform(0.25, 0.6)
         inward = np.arctan2(0.5 - centre[1], w / h / 2 - centre[0]) + rng.uniform(-1, 1)
         turn = rng.uniform(0, 2 * np.pi) if i == 0 and 0 < light.min() < light.max() < 1 else inward
         place = centre + away * np.array([np.cos(turn), np.sin(turn)])
         # A grille only where glare does not hide it: its bars cannot be told there.
         kinds = 3 if i == 0 else 4
-        shape = _object(rng, x - place[0], y - place[1], rng.uniform(0.08, 0.2), kinds)
+        shape = _object(rng, x - place[0], y - place[1], across, kinds)
         painted[shape] = _shaded(rng, x, y)[shape]
         solid |= shape
     veil = rng.uniform(0.02, 0.1)

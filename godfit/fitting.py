@@ -182,10 +182,10 @@ def _fit(
         if occluder is not None:
             images["occluder"] = inputs.image(occluder, "none")
             blocked = inputs.blocked(images["occluder"], images["target"])
-        found, given, notes = unaided.found_in(
+        found, notes = unaided.found_in(
             images["target"], shading, valid, blocked, pass_scale, fix, start, inquire, seed, say
         )
-        return _concluded(_hold_open(found, given), notes, images, (began, compiled), seed)
+        return _concluded(found, notes, images, (began, compiled), seed)
     if scene is not None:
         scene = inputs.scene_for(scene, images["target"], pass_scale)
         notes, pass_scale = tuple(f"scene: {note}" for note in scene.notes), 1.0

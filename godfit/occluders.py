@@ -16,8 +16,8 @@ from scipy import sparse
 from godfit.disc import DiscLight, terms
 from godfit.observation import LEVELS, Picture
 
-ROWS = 8000
-ROUNDS, STEPS = 4, 60
+ROWS = 4000
+ROUNDS, STEPS = 3, 40
 # Levels at which a pixel that is off no longer counts in full, and at which the pull to the prior
 # is worth as much as one pixel of the picture.
 HUBER, PULL = 1.0, 3.0

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
+from scipy import ndimage
 
 from godfit import screen_disc
 from godfit.disc import FIRST, TERMS, DiscLight, terms
@@ -36,6 +37,8 @@ VEILS = (None, 0.05)
 COARSE, AGAIN = 8.0, 4
 # Levels by which the background's colours must vary over the picture to be called smooth.
 SMOOTH = 1.5
+# Noise in levels allowed for in turns of light and shadows, on the small copy and on a finer one.
+SIGMAS, FINER = (2.0, 1.0, 1.0, 0.5), (0.5, 0.5)
 # Longest side of the copy on which it is asked how much the light explains: texture is no light.
 COPY = 60
 # Half a per cent of the picture: starts that agree on the light.
@@ -53,12 +56,14 @@ class Reading(NamedTuple):
 
 
 class Look(NamedTuple):
-    """Where the search ended: coordinates, the picture with its mask refined, starts that agreed
-    of those tried, and how much of what varies the light explains (1 all)."""
+    """Where the search ended: coordinates, the picture with its mask refined, other masks (h, w)
+    that could as well be right, starts that agreed of those tried, and how much of what varies the
+    light explains (1 all)."""
 
     coordinates: np.ndarray
     model: DiscLight
     picture: Picture
+    rivals: tuple[np.ndarray, ...]
     starts_agreed: tuple[int, int]
     explained: float
 
@@ -141,14 +146,35 @@ def look(
     seen = small.observe(small.informative(MORE, seed + 1))
     ended = []
     for point in _apart(points)[:FOLLOWED]:
-        ended.append(_with_shadows(point, small, unknown, free, still, model, seen, seed))
+        for sigma in (4.0, 2.0):
+            point = solve(point.coordinates, free, still, model, seen, sigma)
+        args = (unknown, free, still, model, seen, seed)
+        ended.append(_with_shadows(point, small, small.mask, SIGMAS, *args))
     point, mask = min(ended, key=lambda e: e[0].cost)
     agreed = sum(_near(p, point) for p in points)
+    if small.size != picture.size:
+        say("a finer copy")
+        finer = picture.shrunk(-(-max(picture.size) // (2 * SIDE)))
+        begun_with = _enlarged(mask, small.mask, finer.mask)
+        unknown = shrink(reading.unknown.astype(np.float32), finer.size) > 0
+        seen = finer.observe(finer.informative(MORE, seed + 2))
+        args = (unknown, free, still, model, seen, seed)
+        point, mask = _with_shadows(point, finer, begun_with, FINER, *args)
+        small = finer
     share = _explained(point.coordinates, still, model, dataclasses.replace(small, mask=mask))
     fine = dataclasses.replace(picture, mask=_enlarged(mask, small.mask, picture.mask))
     full = template(shading, picture.channels, reading.degree)
     z = np.asarray(model.moved(point.coordinates, still).coordinates(), np.float32)
-    return Look(z, full, fine, (agreed, len(points)), share)
+    return Look(z, full, fine, _rivals(fine.mask, picture.mask), (agreed, len(points)), share)
+
+
+def _rivals(mask: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Masks as likely as ``mask``: objects a pixel smaller or larger, and as first seen."""
+    return (
+        np.asarray(ndimage.maximum_filter(mask, 3)),
+        np.asarray(ndimage.minimum_filter(mask, 3)),
+        first,
+    )
 
 
 def blocks(picture: Picture, seed: int) -> np.ndarray:
@@ -174,6 +200,8 @@ def _veiled(start: Mapping[str, float], veil: float | None) -> dict[str, float]:
 def _with_shadows(
     point: Point,
     small: Picture,
+    prior: np.ndarray,
+    sigmas: tuple[float, ...],
     unknown: np.ndarray,
     free: np.ndarray,
     held: np.ndarray,
@@ -182,10 +210,8 @@ def _with_shadows(
     seed: int,
 ) -> tuple[Point, np.ndarray]:
     """Light and occluders in turn, until they suit each other."""
-    for sigma in (4.0, 2.0):
-        point = solve(point.coordinates, free, held, model, seen, sigma)
-    prior = small.mask
-    for sigma in (2.0, 1.0, 1.0, 0.5):
+    small = dataclasses.replace(small, mask=prior)
+    for sigma in sigmas:
         at = model.moved(point.coordinates, held)
         small = dataclasses.replace(small, mask=refined(at, small, unknown, prior, seed))
         seen = dataclasses.replace(seen, mask=small.mask)
@@ -276,12 +302,12 @@ def _light(z, held, model: DiscLight, seen: Observation):
 
 
 @eqx.filter_jit
-def _predicted(z, held, model, seen):
+def predicted(z, held, model, seen):
     return seen.predict(model.moved(z, held))
 
 
 def residual(z, held, model, seen) -> np.ndarray:
     """(n,) how far, in levels, each pixel's worst channel lies outside its interval."""
-    prediction = np.asarray(_predicted(z, held, model, seen))
+    prediction = np.asarray(predicted(z, held, model, seen))
     off = np.maximum(np.asarray(seen.lo) - prediction, prediction - np.asarray(seen.hi))
     return np.maximum(off, 0).reshape(-1, seen.channels).max(1)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 
+import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
@@ -16,14 +17,18 @@ from godfit import inputs, screenshot, search
 from godfit.disc import DiscLight
 from godfit.errors import InputError
 from godfit.image import Image
-from godfit.inference import evidence
+from godfit.inference import Evidence, evidence
 from godfit.models import Mitchell
-from godfit.observation import Picture
+from godfit.observation import Observation, Picture
+from godfit.screenshot import predicted
+from godfit.solver import solve_tangent
 from godfit.verdict import Found
 
 # Of what varies in a picture, the share that light must explain to be called rays. Photographs,
 # text and noise reach 0, textured screenshots .4.
 RAYS = 0.25
+# Exposure of a shader without a default, where nothing tells it from the weight.
+FAINT = 0.1
 NO_RAYS = (
     "no rays were found: a light explains {:.0f}% of what varies in this picture, a smooth "
     "background the rest"
@@ -46,8 +51,8 @@ def found_in(
     inquire: bool,
     seed: int,
     say: Callable[[str], None],
-) -> tuple[Found, dict[str, float], tuple[str, ...]]:
-    """What was found, the parameters that were given, and notes."""
+) -> tuple[Found, tuple[str, ...]]:
+    """What was found, and notes."""
     if shading.convention.box:
         raise InputError(
             f"mask: expected one with the shader '{shading.shader}', got none; give --mask"
@@ -73,28 +78,71 @@ def found_in(
     given, held = inputs.parameters(model, fix, start)
     looked = screenshot.look(reading, shading, given, held_by, seed, say)
     model, picture = looked.model, looked.picture
+    opened: list[tuple[int, list[int]]] = []
     picture = dataclasses.replace(
         picture, mask=inputs.shrink_mask(np.asarray(picture.mask), pass_scale)
     )
     free = np.isnan(held) & model.used
-    opened: list[tuple[int, list[int]]] = []
+    hidden = _hidden(model, looked.coordinates, held, picture)
+    if hidden and free[0] and free[3]:
+        # Only the disc itself would tell a pixel's own value from its rays.
+        held[0] = given.get("exposure", model.shading.defaults.get("exposure", FAINT))
+        free[0] = False
+        opened.append((0, [3]))
     if not model.convention.own_pixel and free[0] and free[3]:
         held[0], free[0] = given.get("exposure", model.shading.defaults["exposure"]), False
         opened.append((0, [3]))
     seen = picture.observe(screenshot.blocks(picture, seed))
     say(f"{len(seen.pixels):,} pixels")
     settled, tangent = search.settle(looked.coordinates, model, seen, free, held)
-    at = evidence(settled, tangent, seen)
+    at = _with_ranges(evidence(settled, tangent, seen), model.ranges(settled.coordinates))
     found = Found(model, picture, seen, settled, at, free, held, opened, False)
     found.starts_agreed = looked.starts_agreed
     objection = "" if looked.explained > RAYS else NO_RAYS.format(100 * max(looked.explained, 0))
     remarks = []
     if looked.starts_agreed[0] < 2 and looked.starts_agreed[1] > 1:
         remarks.append(DISAGREE.format(*looked.starts_agreed))
-    if _hidden(model, settled.coordinates, held, picture):
+    if hidden:
         remarks.append(HIDDEN)
-    found = dataclasses.replace(found, remarks=tuple(remarks), objection=objection)
-    return found, given, notes
+    shifts = [
+        _shift(settled, tangent, model, seen, free, held, inputs.shrink_mask(mask, pass_scale))
+        for mask in looked.rivals
+    ]
+    found = dataclasses.replace(
+        found, remarks=tuple(remarks), objection=objection, shifts=tuple(shifts)
+    )
+    return found, notes
+
+
+def _with_ranges(at: Evidence, ranges: np.ndarray) -> Evidence:
+    """The evidence with what is known beforehand: coordinates lie within plausible ranges. Radius,
+    veil and gain can trade until nothing but this limits them."""
+    known = np.diag(1 / ranges**2)
+    return at._replace(
+        curvature=at.curvature + known, scores=at.scores + known, blunt=at.blunt + known
+    )
+
+
+def _shift(
+    settled: search.Settled,
+    tangent: search.Tangent,
+    model: DiscLight,
+    seen: Observation,
+    free: np.ndarray,
+    held: np.ndarray,
+    mask: np.ndarray,
+) -> np.ndarray:
+    """(p,) how far the answer moves where ``mask`` is the right one, on the tangent."""
+    other = dataclasses.replace(seen, mask=jnp.asarray(mask))
+    prediction = np.asarray(predicted(settled.coordinates, held, model, other))
+    lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
+    # Where the other mask would make a pixel foreign it is not that mask that is right.
+    sigma = max(settled.sigma, 0.5)
+    point = solve_tangent(
+        settled.coordinates, free, model, tangent.scale, prediction, tangent.jacobian, lo, hi,
+        sigma, seen.foreign,
+    )  # fmt: skip
+    return np.where(free, point.coordinates - settled.coordinates, 0.0)
 
 
 def _hidden(model: DiscLight, z: np.ndarray, held: np.ndarray, picture: Picture) -> bool:

@@ -39,6 +39,8 @@ class Found:
     # What may be wrong, and why the answer is not to be believed at all, in words.
     remarks: tuple[str, ...] = ()
     objection: str = ""
+    # Of the coordinates (p,), where what was taken as known is a little different.
+    shifts: tuple[np.ndarray, ...] = ()
     starts_agreed: tuple[int, int] | None = None
     other_transfer: bool = False
 
@@ -70,6 +72,8 @@ def verdict(
     by_pixel, growth, suspects = _correlated(found, at.covariance(free), left)
     by_pixel *= max(1.0, full / low / growth)
     growth = max(growth, full / low, picture.repeats)
+    for shift in found.shifts:
+        by_pixel += np.outer(shift, shift)
     covariance = by_coordinate @ by_pixel @ by_coordinate.T
     # A parameter that an open coordinate would change is not known, however well the rest is.
     unknown = (

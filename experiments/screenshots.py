@@ -1,0 +1,126 @@
+"""How well a picture is read that comes with nothing: screenshots made for it, none used before.
+
+    python experiments/screenshots.py [--kinds KIND ...] [--seeds A:B] [--figure FILE]
+
+For every screenshot: the light's error as a share of the picture, errors of decay^samples (share),
+density and exposure*weight*samples (share), the same over what was quoted, and what the fit says of
+itself. Panels are given with --ignore, as a user would.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
+
+from screens import BACKGROUNDS, Screen, made
+
+import godfit
+from godfit.cache import keep_compiled
+
+SHADER = "dawntime"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--kinds", nargs="+", default=list(BACKGROUNDS))
+    parser.add_argument("--seeds", default="1000:1020")
+    options = parser.parse_args()
+    keep_compiled()
+    first, last = map(int, options.seeds.split(":"))
+    for kind in options.kinds:
+        rows = [judged(kind, seed) for seed in range(first, last)]
+        report(kind, rows)
+    return 0
+
+
+def judged(kind: str, seed: int) -> dict[str, float]:
+    """A screenshot read: errors, errors over what is quoted, converged, warned."""
+    screen, began = made(seed, kind), time.perf_counter()
+    result = fitted(screen)
+    row = errors(screen, result) | {"seconds": time.perf_counter() - began}
+    print(
+        f"{kind:<9}{seed:>5}  light {row['light']:.4f}  "
+        + "  ".join(f"{n} {row[n]:+.3f} ({row[n + '/']:+.1f})" for n in JUDGED)
+        + f"  {'converged' if row['converged'] else result.message[:60]}"
+        + f"{', warned' if row['warned'] else ''}  {row['seconds']:.1f} s",
+        flush=True,
+    )
+    return row
+
+
+def fitted(screen: Screen) -> godfit.FitResult:
+    valid = np.ones(screen.image.shape[:2], bool)
+    for x, y, w, h in screen.panels:
+        valid[y : y + h, x : x + w] = False
+    samples = int(screen.truth["samples"])
+    return godfit.fit(screen.image, shader=SHADER, samples=samples, valid=valid)
+
+
+JUDGED = ("light_x", "light_y", "decay", "density", "gain")
+
+
+def errors(screen: Screen, result: godfit.FitResult) -> dict[str, float]:
+    """Errors by name (decay and gain as shares), and name/ over what is quoted."""
+    truth, params = screen.truth, result.params
+    n = truth["samples"]
+
+    def value(name: str) -> float:
+        return params[name].value
+
+    row = {}
+    for name in ("light_x", "light_y", "density", "decay"):
+        off = value(name) - truth[name]
+        quoted = params[name].stderr
+        row[name], row[name + "/"] = off, off / quoted if quoted else np.nan
+    row["decay"] = (value("decay") / truth["decay"]) ** n - 1
+    gain = truth["exposure"] * truth["weight"]
+    row["gain"] = value("exposure") * value("weight") / gain - 1
+    row["gain/"] = row["gain"] / product_error(result)
+    row["light"] = float(np.hypot(row["light_x"], row["light_y"]))
+    row["converged"] = result.converged
+    row["warned"] = bool(result.warnings)
+    return row
+
+
+def product_error(result: godfit.FitResult) -> float:
+    """The quoted relative error of exposure*weight."""
+    names = list(result.params)
+    i, j = names.index("exposure"), names.index("weight")
+    e, w = result.params["exposure"].value, result.params["weight"].value
+    slope = np.zeros(len(names))
+    slope[i], slope[j] = 1 / e, 1 / w
+    block = np.ix_([i, j], [i, j])
+    part = slope[[i, j]] @ result.covariance[block] @ slope[[i, j]]
+    return float(np.sqrt(part)) if np.isfinite(part) and part > 0 else float("nan")
+
+
+def report(kind: str, rows: list[dict[str, float]]) -> None:
+    count = len(rows)
+    print(f"{kind}: {count} screenshots")
+    for share in (0.005, 0.02):
+        near = sum(r["light"] <= share for r in rows)
+        print(f"  light within {100 * share:g}% of the picture: {near}")
+    good = [
+        abs(r["decay"]) <= 0.1 and abs(r["density"]) <= 0.05 and abs(r["gain"]) <= 0.1 for r in rows
+    ]
+    print(f"  decay^samples and gain within 10%, density within .05: {sum(good)}")
+    believed = [r for r in rows if r["converged"]]
+    for name in JUDGED:
+        known = [abs(r[name + "/"]) for r in believed if np.isfinite(r[name + "/"])]
+        inside = sum(k <= 1.96 for k in known)
+        print(f"  {name}: 95% intervals cover {inside} of {len(known)}")
+    silent = sum(not r["warned"] and any(abs(r[n + "/"]) > 5 for n in JUDGED) for r in believed)
+    print(f"  converged without a warning and over five errors off: {silent}")
+    print(
+        f"  not converged: {count - len(believed)}, median {np.median([r['seconds'] for r in rows]):.1f} s"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
