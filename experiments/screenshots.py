@@ -12,12 +12,8 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
-
 from screens import BACKGROUNDS, Screen, made
 
 import godfit
@@ -117,9 +113,8 @@ def report(kind: str, rows: list[dict[str, float]]) -> None:
         print(f"  {name}: 95% intervals cover {inside} of {len(known)}")
     silent = sum(not r["warned"] and any(abs(r[n + "/"]) > 5 for n in JUDGED) for r in believed)
     print(f"  converged without a warning and over five errors off: {silent}")
-    print(
-        f"  not converged: {count - len(believed)}, median {np.median([r['seconds'] for r in rows]):.1f} s"
-    )
+    seconds = np.median([r["seconds"] for r in rows])
+    print(f"  not converged: {count - len(believed)}, median {seconds:.1f} s")
 
 
 if __name__ == "__main__":

@@ -104,6 +104,10 @@ class AbstractModel(eqx.Module):
     ) -> Float[Array, "..."]:
         """The image; see ``Mitchell``."""
 
+    def occlusion(self, mask: Float[Array, "h w"]) -> Float[Array, "h w"]:
+        """The mask that the light pass reads where ``mask`` is what was given."""
+        return mask
+
 
 class Mitchell(AbstractModel):
     """Mitchell's screen-space scattering sum (GPU Gems 3, ch. 13) as one shader computes it.

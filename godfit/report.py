@@ -172,14 +172,19 @@ def plot(result: FitResult) -> Figure:
     step = max(1, max(height, width) // 1024)
     fitted = np.asarray(encode(result.render(), picture.transfer))
     target = picture.levels / np.float32(LEVELS)
-    panels = (
+    panels = [
         ("target", target if target.shape[-1] == 3 else target[..., 0]),
         ("fitted", fitted),
         ("fitted - target, levels", residual),
-    )
+    ]
+    if picture.foreign:
+        # Nobody gave a mask: what the light pass is taken to read, faint things brightened.
+        panels.insert(1, ("mask as understood, square root", np.sqrt(result.mask)))
     # Laid out by hand, in inches: matplotlib's own layout draws everything several times over.
-    wide, tall, gap, text = 4.0, 4.0 * min(max(height / width, 0.3), 2.0), 0.45, 1.35
-    whole = (3 * (wide + gap) + 0.9, tall + text + 1.0)
+    lines = -(-len(result.params) // 2) + len(_remarks(result)) + 1
+    wide, tall, gap = 4.0, 4.0 * min(max(height / width, 0.3), 2.0), 0.45
+    text = max(1.35, 0.19 * lines)
+    whole = (len(panels) * (wide + gap) + 0.9, tall + text + 1.0)
     figure = Figure(figsize=whole)
     FigureCanvasAgg(figure)
 
@@ -259,9 +264,14 @@ def _write_parameters(axes, result: FitResult) -> None:
     style: dict[str, Any] = {"family": "monospace", "fontsize": 9, "va": "top"}
     axes.text(0.0, 1.0, "\n".join(lines[:half]), **style)
     axes.text(0.5, 1.0, "\n".join(lines[half:]), **style)
+    style |= {"family": "sans-serif", "fontsize": 8, "va": "bottom", "color": "firebrick"}
+    axes.text(0.0, 0.0, "\n".join(_remarks(result)), **style)
+
+
+def _remarks(result: FitResult) -> list[str]:
+    """What is open, what may be wrong, and why it is not to be believed, a line each."""
     remarks = [*result.undetermined, *result.warnings]
-    remarks += [] if result.converged else [result.message]
-    axes.text(0.0, 0.3, "\n".join(remarks), fontsize=8, va="top", color="firebrick", wrap=True)
+    return remarks + ([] if result.converged else [result.message])
 
 
 def save(result: FitResult, folder: str | os.PathLike[str], command: str = "") -> None:

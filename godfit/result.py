@@ -7,6 +7,7 @@ import functools
 import os
 from typing import TYPE_CHECKING
 
+import jax.numpy as jnp
 import numpy as np
 
 from godfit.image import decode
@@ -80,6 +81,11 @@ class FitResult:
         """The fitted image, linear, clamped to [0, 1]; shaped like the target."""
         image = np.asarray(decode(self._levels / np.float32(LEVELS), self.picture.transfer))
         return image if image.shape[-1] == 3 else image[..., 0]
+
+    @property
+    def mask(self) -> np.ndarray:
+        """(h, w) or (h, w, 3): the occlusion mask that the light pass reads, given or estimated."""
+        return np.asarray(self.model.occlusion(jnp.asarray(self.picture.mask)))
 
     @property
     def residual(self) -> np.ndarray:

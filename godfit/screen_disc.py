@@ -98,7 +98,7 @@ def _search(rays, away, radii, along, basis, goal):
     weight, basis = basis[:, 0], basis[:, 1:]
 
     def without(values):
-        values = values * weight
+        values = values * weight[None]
         return values - (values @ basis) @ basis.T
 
     def one(light):

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
@@ -39,10 +40,15 @@ COARSE, AGAIN = 8.0, 4
 SMOOTH = 1.5
 # Noise in levels allowed for in turns of light and shadows, on the small copy and on a finer one.
 SIGMAS, FINER = (2.0, 1.0, 1.0, 0.5), (0.5, 0.5)
+MAX_SOLVES = 8
 # Longest side of the copy on which it is asked how much the light explains: texture is no light.
 COPY = 60
+# Share of the picture that must be background for the rest to be objects.
+LEAST = 0.03
 # Half a per cent of the picture: starts that agree on the light.
 AGREE = 0.01
+# Coordinate of the disc's edge, and how wide, in picture heights, a hard one is taken to be.
+EDGE, SHARP = 7, 0.002
 
 
 class Reading(NamedTuple):
@@ -77,6 +83,9 @@ def read(target: Image, valid: np.ndarray | None, occluder: np.ndarray | None) -
     found = segments(picture.levels, picture.half, picture.valid)
     lying = panels(found.other | found.doubtful, picture.levels)
     open_, silent, unknown = _sorted_out(picture, found, lying)
+    if (picture.valid & ~silent).mean() < LEAST:
+        # Objects all over are no objects.
+        open_, silent = np.ones_like(open_), np.zeros_like(silent)
     if occluder is not None:
         open_ = np.where(occluder, 0, open_).astype(np.float32)
         silent |= grown(occluder, 2)
@@ -121,6 +130,9 @@ def look(
     model = template(few, picture.channels, reading.degree)
     still = held(model).copy()
     free = np.isnan(still)
+    if free[EDGE]:
+        # Discs are drawn with hard edges; a soft one looks much like another place of the light.
+        still[EDGE], free[EDGE] = SHARP, False
     if np.isnan(still[[0, 3]]).all():
         # What tells exposure and weight apart, the pixel's own value, is for a closer look.
         still[3], free[3] = shading.defaults.get("weight", 0.8), False
@@ -146,8 +158,8 @@ def look(
     seen = small.observe(small.informative(MORE, seed + 1))
     ended = []
     for point in _apart(points)[:FOLLOWED]:
-        for sigma in (4.0, 2.0):
-            point = solve(point.coordinates, free, still, model, seen, sigma)
+        for sigma in (COARSE, 4.0, 2.0):
+            point = _descend(point, free, still, model, seen, sigma)
         args = (unknown, free, still, model, seen, seed)
         ended.append(_with_shadows(point, small, small.mask, SIGMAS, *args))
     point, mask = min(ended, key=lambda e: e[0].cost)
@@ -214,9 +226,21 @@ def _with_shadows(
     for sigma in sigmas:
         at = model.moved(point.coordinates, held)
         small = dataclasses.replace(small, mask=refined(at, small, unknown, prior, seed))
-        seen = dataclasses.replace(seen, mask=small.mask)
-        point = solve(point.coordinates, free, held, model, seen, sigma)
+        seen = dataclasses.replace(seen, mask=jnp.asarray(small.mask))
+        point = _descend(point, free, held, model, seen, sigma)
     return solve(point.coordinates, free, held, model, seen, 1.0), small.mask
+
+
+def _descend(point: Point, free, held, model: DiscLight, seen: Observation, sigma: float) -> Point:
+    """Solve until it makes no more headway: radius, veil, attenuation and light trade in a long,
+    bent valley."""
+    point = solve(point.coordinates, free, held, model, seen, sigma)
+    for _ in range(MAX_SOLVES):
+        before = point
+        point = solve(before.coordinates, free, held, model, seen, sigma)
+        if not point.cost < 0.99 * before.cost:
+            break
+    return point
 
 
 def _apart(points: list[Point]) -> list[Point]:

@@ -200,7 +200,7 @@ def _in_rounds(start, model, seen, free, held, rounds) -> tuple[Settled, Tangent
     sigma, likelihood = best_sigma(tangent.prediction, seen)
     best = Settled(start, sigma, likelihood, False)
     part = 1.0
-    short = SHORT if model.banded else SHORT_WITHOUT
+    short = SHORT if model.banded or seen.foreign else SHORT_WITHOUT
     for _ in range(rounds):
         goal, there = aim(best, tangent, model, seen, free)
         if goal.log_likelihood < best.log_likelihood + short:

@@ -29,6 +29,10 @@ from godfit.verdict import Found
 RAYS = 0.25
 # Exposure of a shader without a default, where nothing tells it from the weight.
 FAINT = 0.1
+# The valley in which radius, veil and gain trade is long.
+ROUNDS = 25
+# Pixels without which nothing can be told.
+LEAST = 500
 NO_RAYS = (
     "no rays were found: a light explains {:.0f}% of what varies in this picture, a smooth "
     "background the rest"
@@ -60,12 +64,13 @@ def found_in(
     if min(target.values.shape[:2]) < 32:
         h, w = target.values.shape[:2]
         raise InputError(f"target: expected at least 32x32 pixels without a mask, got {w}x{h}")
+    if valid is not None and np.count_nonzero(valid) < LEAST:
+        raise InputError(
+            f"ignore: expected some open background, at least {LEAST} pixels, got "
+            f"{np.count_nonzero(valid)}; ignore less"
+        )
     say("background, objects, panels")
     reading = screenshot.read(target, valid, occluder)
-    if np.count_nonzero(reading.picture.valid) < 500:
-        raise InputError(
-            "target: expected some open background, got objects and panels everywhere; give --mask"
-        )
     notes = tuple(
         f"a panel at {x},{y},{w},{h} is taken to lie on top and is left out"
         for x, y, w, h in reading.panels
@@ -83,6 +88,8 @@ def found_in(
         picture, mask=inputs.shrink_mask(np.asarray(picture.mask), pass_scale)
     )
     free = np.isnan(held) & model.used
+    if free[screenshot.EDGE]:
+        held[screenshot.EDGE], free[screenshot.EDGE] = screenshot.SHARP, False
     hidden = _hidden(model, looked.coordinates, held, picture)
     if hidden and free[0] and free[3]:
         # Only the disc itself would tell a pixel's own value from its rays.
@@ -94,7 +101,7 @@ def found_in(
         opened.append((0, [3]))
     seen = picture.observe(screenshot.blocks(picture, seed))
     say(f"{len(seen.pixels):,} pixels")
-    settled, tangent = search.settle(looked.coordinates, model, seen, free, held)
+    settled, tangent = search.settle(looked.coordinates, model, seen, free, held, rounds=ROUNDS)
     at = _with_ranges(evidence(settled, tangent, seen), model.ranges(settled.coordinates))
     found = Found(model, picture, seen, settled, at, free, held, opened, False)
     found.starts_agreed = looked.starts_agreed

@@ -178,9 +178,35 @@ def test_bad_options(disc, capsys, arguments, status, words):
     assert leftovers(disc.parent) == before
 
 
-def test_target_without_mask_is_a_usage_error(disc, capsys):
+def test_compare_needs_a_mask(disc, capsys):
     (disc.parent / "disc.toml").unlink()
-    assert "expected --mask IMAGE" in fails(capsys, 2, "fit", disc)
+    assert "expected --mask IMAGE" in fails(capsys, 2, "compare", disc)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--model", "hoffman-preetham"], "expected --mask or --scene"),
+        (["--lights", "2"], "expected 1 without a mask"),
+        (["--background", "FILE"], "expected none without a mask"),
+        (["--shader", "three"], "expected one with the shader 'three'"),
+        (["--occluder", "SMALL"], "expected the target's 256x256 pixels, got 16x16"),
+        (["--ignore", "0,0,256,255"], "expected some open background"),
+    ],
+)
+def test_what_a_fit_without_a_mask_does_not_do(disc, capsys, arguments, words):
+    (disc.parent / "disc.toml").unlink()
+    write_image(disc.parent / "small.png", np.ones((16, 16), np.float32))
+    files = {"FILE": str(disc), "SMALL": str(disc.parent / "small.png")}
+    arguments = [files.get(a, a) for a in arguments]
+    before = leftovers(disc.parent)
+    assert words in fails(capsys, 1, "fit", disc, *arguments)
+    assert leftovers(disc.parent) == before
+
+
+def test_mask_of_a_scene_or_of_a_picture(disc, capsys):
+    assert "got neither" in fails(capsys, 2, "mask", "-o", disc)
+    assert "got both" in fails(capsys, 2, "mask", disc, "--from-image", disc, "-o", disc)
 
 
 def test_mask_of_another_aspect(disc, capsys):

@@ -197,5 +197,3 @@ def test_mask_and_scene_together():
     image = np.zeros((96, 96), np.uint8)
     with pytest.raises(InputError, match="got both"):
         godfit.fit(image, scene=stage(), mask=image)
-    with pytest.raises(InputError, match="got neither"):
-        godfit.fit(image)

@@ -1,32 +1,83 @@
-"""``godfit mask``: a scene's occlusion mask."""
+"""``godfit mask``: a scene's occlusion mask, or the one that a finished picture seems to have."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import click
 
+from godfit.commands.options import SHADER, look_away
 from godfit.commands.progress import Progress, warn
+from godfit.commands.study import working
+
+if TYPE_CHECKING:
+    import numpy as np
 
 
 @click.command()
-@click.argument("scene")
+@click.argument("scene", required=False)
+@click.option("--from-image", "target", metavar="TARGET", help="Estimate it from this picture.")
 @click.option("-o", "--output", required=True, help="Image to write: .png or .npy (linear floats).")
 @click.option(
     "--hard", is_flag=True, help="Pixel centres only, as WebGL draws without multisampling."
 )
+@SHADER
+@click.option("--ignore", multiple=True, metavar="X,Y,W,H|IMAGE", help="Pixels to look away from.")
 @click.option("-q", "--quiet", is_flag=True, help="No warnings.")
-def mask(scene: str, output: str, hard: bool, quiet: bool) -> int:
-    """Draw the occlusion mask of SCENE.toml, anti-aliased."""
+def mask(
+    scene: str | None,
+    target: str | None,
+    output: str,
+    hard: bool,
+    shader: str | None,
+    samples: int | None,
+    ignore: tuple[str, ...],
+    quiet: bool,
+) -> int:
+    """Draw the occlusion mask of SCENE.toml, anti-aliased; or, with --from-image, write the mask
+    that a picture without one seems to have, to be touched up."""
     from godfit.image import write_image
+
+    if (scene is None) == (target is None):
+        got = "neither" if scene is None else "both"
+        raise click.UsageError(f"expected SCENE.toml or --from-image TARGET, got {got}")
+    if scene is not None:
+        values, notes = of_scene(scene, hard)
+    else:
+        assert target is not None
+        values, notes = of_picture(target, shader, samples, ignore, quiet)
+    write_image(output, values)
+    if not quiet:
+        for note in notes:
+            warn(note)
+    return 0
+
+
+def of_scene(scene: str, hard: bool) -> tuple[np.ndarray, tuple[str, ...]]:
     from godfit.inputs import drawn
     from godfit.scene import read_scene
 
-    with Progress(quiet, False) as progress:
+    with Progress(quiet=False, verbose=False) as progress:
         progress("loading meshes")
         stage = read_scene(scene)
         progress("drawing")
-        values = drawn(stage, not hard)
-    write_image(output, values)
-    if not quiet:
-        for note in stage.notes:
-            warn(note)
-    return 0
+        return drawn(stage, not hard), stage.notes
+
+
+def of_picture(
+    target: str,
+    shader: str | None,
+    samples: int | None,
+    ignore: tuple[str, ...],
+    quiet: bool,
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    from godfit.image import read_image
+
+    image = read_image(target)
+    valid = look_away(ignore, image.values.shape[:2])
+    with working(quiet, verbose=False) as progress:
+        from godfit.fitting import fit
+
+        found = fit(image, shader=shader, samples=samples, valid=valid, progress=progress)
+    doubts = () if found.converged else (found.message,)
+    return found.mask, (*found.notes, *found.warnings, *doubts)

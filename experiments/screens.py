@@ -135,7 +135,7 @@ def _background(rng: np.random.Generator, kind: str, size: tuple[int, int]) -> n
         return field
     noise = sum(ndimage.gaussian_filter(rng.standard_normal(size), s) * s for s in (1.0, 2.5, 6.0))
     cells = np.sin(x * rng.uniform(20, 60)) * np.sin(y * rng.uniform(20, 60))
-    texture = 0.02 * noise / noise.std() + 0.02 * np.sign(cells)
+    texture = 0.02 * noise / np.std(noise) + 0.02 * np.sign(cells)
     return np.clip(field + texture[..., None] * rng.uniform(0.5, 1.5, 3), 0, 1)
 
 

@@ -1,0 +1,186 @@
+"""A picture that comes with nothing: each step against what made the picture, and all of them."""
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+import godfit
+from godfit import screenshot
+from godfit.disc import FIRST, DiscLight
+from godfit.inputs import image
+from godfit.likelihood import ANY_LEVEL, deviance_residuals, interval
+from godfit.models import Mitchell
+from godfit.observation import Picture
+from godfit.occluders import refined
+from godfit.segment import panels, segments
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
+from screens import made
+
+SIZE = (90, 160)
+
+
+def disc_model(terms=1, samples=40):
+    shading = Mitchell(0.05, 0.98, 0.8, 0.7, [0.4513, 0.6071], "dawntime", samples)
+    background = np.zeros((terms, 3))
+    background[0] = 0.1, 0.2, 0.3
+    background[1:] = 0.02
+    return DiscLight(shading, [0.15, 0.01, 0.06], background)
+
+
+@pytest.mark.parametrize("foreign", [0.01, 0.3])
+def test_heavy_tails_are_a_mixture(foreign):
+    """Of the Gaussian's interval and of any level alike; slope and residuals are its own."""
+    f = jnp.linspace(-30.0, 30.0, 121)
+    lo, hi, sigma = -0.5, 0.5, 0.7
+    pixel = interval((lo - f) / sigma, (hi - f) / sigma, foreign)
+    own = norm.cdf((hi - f) / sigma) - norm.cdf((lo - f) / sigma)
+    np.testing.assert_allclose(
+        pixel.log, np.log((1 - foreign) * own + foreign * ANY_LEVEL), rtol=1e-10
+    )
+
+    def log(f):
+        return interval((lo - f) / sigma, (hi - f) / sigma, foreign).log.sum()
+
+    np.testing.assert_allclose(pixel.slope / sigma, jax.grad(log)(f), atol=1e-10)
+    ends = jnp.full(121, lo), jnp.full(121, hi)
+    r = deviance_residuals(f, *ends, jnp.asarray(sigma), foreign)
+    np.testing.assert_allclose(r**2 / 2, pixel.log.max() - pixel.log, atol=1e-9)
+    # What is far off pulls no more.
+    assert abs(float(pixel.slope[0])) < 1e-12
+
+
+def test_mask_is_a_disc_on_a_veil_behind_what_is_open():
+    model = disc_model()
+    open_ = jnp.ones(SIZE).at[:, :40].set(0.0)
+    mask = np.asarray(model.occlusion(open_))
+    h, w = SIZE
+    x, y = np.meshgrid((np.arange(w) + 0.5) / h, 1 - (np.arange(h) + 0.5) / h)
+    away = np.hypot(x - 0.4513 * w / h, y - 0.6071)
+    assert (mask[:, :40] == 0).all()
+    inside, outside = mask[:, 40:][away[:, 40:] < 0.05], mask[:, 40:][away[:, 40:] > 0.3]
+    np.testing.assert_allclose(inside, 1, atol=1e-4)
+    np.testing.assert_allclose(outside, 0.06, atol=1e-4)
+
+
+def test_derivatives_agree_with_differences():
+    """Of every coordinate, the background's that the light pass does not depend on among them."""
+    model, open_ = disc_model(terms=6), jnp.ones(SIZE).at[30:60, 60:75].set(0.0)
+    pixels = jnp.asarray(np.random.default_rng(0).permutation(90 * 160)[:200])
+    z = np.asarray(model.coordinates(), np.float64)
+
+    @jax.jit
+    def predict(z):
+        return model.moved(z)(open_, size=SIZE, pixels=pixels, method="reference").reshape(-1)
+
+    found = np.asarray(jax.jit(jax.jacfwd(predict))(jnp.asarray(z)))
+    for i in range(len(z)):
+        step = np.zeros(len(z))
+        step[i] = 1e-7 if i < FIRST else 1e-4
+        central = (predict(z + step) - predict(z - step)) / (2 * step[i])
+        size = np.abs(found[:, i]).max()
+        np.testing.assert_allclose(found[:, i], central, atol=2e-4 * size + 1e-9)
+
+
+def test_another_colour_and_panels_are_told_from_the_background():
+    """Light changes no differences of channels, objects do; a clipped channel only bounds them."""
+    rng = np.random.default_rng(1)
+    x, y = np.meshgrid(np.linspace(0, 1, 160), np.linspace(0, 1, 90))
+    ground = np.stack([40 + 20 * x, 70 + 10 * y, 90 - 15 * x], -1)
+    light = 400 * np.exp(-((x - 0.6) ** 2 + (y - 0.5) ** 2) / 0.05)
+    solid = np.hypot(x - 0.3, (y - 0.5) * 0.6) < 0.1
+    picture = np.where(solid[..., None], (60.0, 40, 30), ground) + light[..., None]
+    picture = np.floor(picture + rng.uniform(0, 1, (90, 160, 1))).clip(0, 255)
+    picture[5:45, 120:155] = 33
+    picture[10:14, 125:150] = 200
+    found = segments(picture, 0.5, np.ones(SIZE, bool))
+    expected = solid.copy()
+    expected[5:45, 120:155] = True
+    glare = picture.min(-1) >= 254
+    assert (found.other & ~expected).mean() < 1e-3
+    assert (expected & ~found.other & ~glare).mean() < 2e-3
+    ((left, top, wide, tall),) = panels(found.other, picture)
+    assert np.abs(np.array([left, top, wide, tall]) - [120, 5, 35, 40]).max() <= 1
+
+
+def test_shadows_give_away_an_object_that_nothing_else_does():
+    """An object of the background's own colour: with the light known, its shadow places it."""
+    model, h, w = disc_model(), *SIZE
+    open_ = np.ones(SIZE, np.float32)
+    open_[28:46, 76:88] = 0
+    every = jnp.arange(h * w)
+    levels = 255 * np.asarray(model(jnp.asarray(open_), size=SIZE, pixels=every)).reshape(h, w, 3)
+    levels = np.round(levels).clip(0, 255).astype(np.float32)
+    nothing_known = np.ones(SIZE, np.float32)
+    picture = Picture(levels, 0.5, np.ones(SIZE, bool), nothing_known, None, "none")
+    unknown = np.zeros(SIZE, bool)
+    unknown[15:60, 60:100] = True
+    found = refined(model, picture, unknown, nothing_known, 0)
+    assert found[32:42, 78:84].mean() < 0.25
+    assert found[unknown & (open_ == 1)].mean() > 0.85
+
+
+@pytest.fixture(scope="module")
+def screen():
+    """One light before which nothing glares, and its fit."""
+    screen = made(1009, "flat", SIZE)
+    valid = np.ones(SIZE, bool)
+    for x, y, w, h in screen.panels:
+        valid[y : y + h, x : x + w] = False
+    samples = int(screen.truth["samples"])
+    return screen, godfit.fit(screen.image, shader="dawntime", samples=samples, valid=valid)
+
+
+def test_light_and_shader_are_read_off_a_screenshot(screen):
+    screen, result = screen
+    assert result.converged, result.message
+    params, truth = result.params, screen.truth
+    for name, tolerance in (("light_x", 0.005), ("light_y", 0.005), ("density", 0.05)):
+        assert params[name].value == pytest.approx(truth[name], abs=tolerance)
+    decayed = params["decay"].value ** truth["samples"], truth["decay"] ** truth["samples"]
+    # A picture so small tells it to some 10%.
+    assert decayed[0] == pytest.approx(decayed[1], rel=0.2)
+    assert result.starts_agreed is not None
+    assert result.starts_agreed[0] >= 2
+    # The mask that nobody gave, where the shader reads it.
+    assert np.abs(result.mask - screen.mask).mean() < 0.02
+
+
+def test_an_occluder_that_is_given_stands_in_the_way(screen):
+    screen, _ = screen
+    drawn = np.zeros(SIZE, bool)
+    drawn[40:60, 100:120] = True
+    reading = screenshot.read(image(screen.image, "none"), None, drawn)
+    assert (reading.picture.mask[drawn] == 0).all()
+    assert not reading.picture.valid[drawn].any()
+    assert not reading.unknown[drawn].any()
+
+
+@pytest.mark.parametrize("kind", ["noise", "cells"])
+def test_a_picture_without_rays_is_said_to_have_none(kind):
+    rng = np.random.default_rng(3)
+    if kind == "noise":
+        picture = rng.integers(0, 200, (*SIZE, 3)).astype(np.uint8)
+    else:
+        picture = np.kron(rng.integers(20, 200, (9, 16, 3)), np.ones((10, 10, 1))).astype(np.uint8)
+    result = godfit.fit(picture, shader="dawntime", samples=60)
+    assert not result.converged
+    assert "no rays were found" in result.message
+
+
+def test_blocks_hold_neighbours_and_are_as_many_as_asked():
+    valid = np.ones((600, 800), bool)
+    valid[:, :100] = False
+    picture = Picture(np.zeros((600, 800, 1), np.float32), 0.5, valid, valid * 1.0, None, "none")
+    chosen = screenshot.blocks(picture, 0)
+    assert screenshot.LAST - 256 <= len(chosen) <= screenshot.LAST + 256
+    assert valid.reshape(-1)[chosen].all()
+    assert np.mean(np.diff(chosen) == 1) > 0.9
+    few = dataclasses.replace(picture, valid=valid & (np.arange(800) < 120))
+    assert np.array_equal(screenshot.blocks(few, 0), np.flatnonzero(few.valid))
