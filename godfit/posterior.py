@@ -71,6 +71,8 @@ def posterior(
     """Draws from the posterior about a fit. Raises InputError without blackjax, and for a fit that
     did not converge, which has no tangent worth having."""
     require()
+    if result.picture.foreign:
+        raise InputError("posterior: expected a fit with a mask or a scene, got neither; give one")
     if not result.converged:
         raise InputError(f"posterior: expected a fit that converged, got: {result.message}")
     with jax.enable_x64(False), jax.numpy_rank_promotion("allow"):

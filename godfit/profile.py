@@ -55,6 +55,8 @@ def profile(result: FitResult, name: str) -> FitResult:
 
 def check(result: FitResult, name: str) -> None:
     """Raise InputError for a parameter that has no interval."""
+    if result.picture.foreign:
+        raise InputError("profile: expected a fit with a mask or a scene, got neither; give one")
     if name not in result.params:
         raise InputError(f"profile: expected one of {', '.join(result.params)}, got '{name}'")
     if result.params[name].fixed:

@@ -101,11 +101,13 @@ def found_in(
         opened.append((0, [3]))
     seen = picture.observe(screenshot.blocks(picture, seed))
     say(f"{len(seen.pixels):,} pixels")
-    settled, tangent = search.settle(looked.coordinates, model, seen, free, held, rounds=ROUNDS)
+    rays = looked.explained > RAYS
+    rounds = ROUNDS if rays else 1
+    settled, tangent = search.settle(looked.coordinates, model, seen, free, held, rounds=rounds)
     at = _with_ranges(evidence(settled, tangent, seen), model.ranges(settled.coordinates))
     found = Found(model, picture, seen, settled, at, free, held, opened, False)
     found.starts_agreed = looked.starts_agreed
-    objection = "" if looked.explained > RAYS else NO_RAYS.format(100 * max(looked.explained, 0))
+    objection = "" if rays else NO_RAYS.format(100 * max(looked.explained, 0))
     remarks = []
     if looked.starts_agreed[0] < 2 and looked.starts_agreed[1] > 1:
         remarks.append(DISAGREE.format(*looked.starts_agreed))

@@ -27,10 +27,10 @@ def chosen(rung, noise, seed=2, size=64):
     return select(target, mask=mask, shader=selection.SHADER, samples=selection.SAMPLES), target
 
 
-@pytest.mark.parametrize(("rung", "noise"), [("+ light", 0.0), ("+ colour", 1.0)])
-def test_rung_is_found(rung, noise):
-    found, _ = chosen(rung, noise)
-    assert found.recommended.rung.name == rung
+def test_rung_is_found():
+    """Others in experiments/selection.py: what every rung compiles takes its time."""
+    found, _ = chosen("+ light", 1.0)
+    assert found.recommended.rung.name == "+ light"
     assert found.recommended.like_noise
 
 
