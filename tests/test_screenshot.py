@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import norm
 
 import godfit
-from godfit import screenshot
+from godfit import screenshot, unaided
 from godfit.disc import FIRST, DiscLight
 from godfit.inputs import image
 from godfit.likelihood import ANY_LEVEL, deviance_residuals, interval
@@ -165,14 +165,32 @@ def test_an_occluder_that_is_given_stands_in_the_way(screen):
     assert not reading.unknown[drawn].any()
 
 
-def test_a_picture_without_rays_is_said_to_have_none(screen):
-    screen, _ = screen
+def test_light_explains_rays_and_nothing_else(screen):
+    screen, result = screen
     rng = np.random.default_rng(3)
     cells = np.kron(rng.integers(20, 180, (9, 16)), np.ones((10, 10)))
     # Of one colour: nothing is told apart as an object.
     picture = (cells[..., None] + [0, 20, 40]).astype(np.uint8)
+    reading = screenshot.read(image(picture, "none"), None, None)
+
+    def nothing_held(model):
+        return np.full(len(model.parameters), np.nan, np.float32)
+
+    shading = Mitchell(1, 0.9, 0.5, 0.5, [0.5, 0.5], "dawntime", result.model.samples)
+    with jax.enable_x64(False):
+        looked = screenshot.look(reading, shading, {}, nothing_held, 0, lambda text: None)
+    assert looked.explained < 0.5 * unaided.RAYS
+
+
+def test_without_rays_a_fit_does_not_converge(screen, monkeypatch):
+    """And says so: here no share of what varies is enough."""
+    screen, _ = screen
+    monkeypatch.setattr(unaided, "RAYS", 2.0)
+    valid = np.ones(SIZE, bool)
+    for x, y, w, h in screen.panels:
+        valid[y : y + h, x : x + w] = False
     samples = int(screen.truth["samples"])
-    result = godfit.fit(picture, shader="dawntime", samples=samples)
+    result = godfit.fit(screen.image, shader="dawntime", samples=samples, valid=valid)
     assert not result.converged
     assert "no rays were found" in result.message
 
