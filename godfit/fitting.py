@@ -183,7 +183,7 @@ def _fit(
             images["occluder"] = inputs.image(occluder, "none")
             blocked = inputs.blocked(images["occluder"], images["target"])
         found, notes = unaided.found_in(
-            images["target"], shading, valid, blocked, pass_scale, fix, start, inquire, seed, say
+            images["target"], shading, valid, blocked, pass_scale, fix, start, seed, say
         )
         return _concluded(found, notes, images, (began, compiled), seed)
     if scene is not None:

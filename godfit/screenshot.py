@@ -45,7 +45,7 @@ MAX_SOLVES = 8
 COPY = 60
 # Share of the picture that must be background for the rest to be objects.
 LEAST = 0.03
-# Half a per cent of the picture: starts that agree on the light.
+# Starts whose lights lie within so much of the picture agree.
 AGREE = 0.01
 # Coordinate of the disc's edge, and how wide, in picture heights, a hard one is taken to be.
 EDGE, SHARP = 7, 0.002
@@ -104,7 +104,6 @@ def _sorted_out(picture: Picture, found: Segments, lying: list[tuple[int, int, i
         over = (slice(y, y + tall), slice(x, x + wide))
         around = (slice(max(y - 2, 0), y + tall + 2), slice(max(x - 2, 0), x + wide + 2))
         open_[over], silent[around], unknown[over] = 1.0, True, False
-    # Under what the user looks away from nothing is known: open, unless its shadow is seen.
     return open_, silent, unknown
 
 

@@ -52,11 +52,11 @@ def found_in(
     pass_scale: float,
     fix: Mapping[str, float | None],
     start: Mapping[str, float],
-    inquire: bool,
     seed: int,
     say: Callable[[str], None],
 ) -> tuple[Found, tuple[str, ...]]:
-    """What was found, and notes."""
+    """What was found, and notes. ``valid`` and ``occluder`` are (h, w): where to look, and where
+    something is known to stand in the way. Raises InputError for what cannot be read so."""
     if shading.convention.box:
         raise InputError(
             f"mask: expected one with the shader '{shading.shader}', got none; give --mask"
@@ -91,13 +91,10 @@ def found_in(
     if free[screenshot.EDGE]:
         held[screenshot.EDGE], free[screenshot.EDGE] = screenshot.SHARP, False
     hidden = _hidden(model, looked.coordinates, held, picture)
-    if hidden and free[0] and free[3]:
-        # Only the disc itself would tell a pixel's own value from its rays.
+    if free[0] and free[3] and (hidden or not model.convention.own_pixel):
+        # Only the disc itself would tell a pixel's own value, if it is shown, from its rays.
         held[0] = given.get("exposure", model.shading.defaults.get("exposure", FAINT))
         free[0] = False
-        opened.append((0, [3]))
-    if not model.convention.own_pixel and free[0] and free[3]:
-        held[0], free[0] = given.get("exposure", model.shading.defaults["exposure"]), False
         opened.append((0, [3]))
     seen = picture.observe(screenshot.blocks(picture, seed))
     say(f"{len(seen.pixels):,} pixels")
