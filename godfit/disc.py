@@ -33,12 +33,17 @@ POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2)
 TERMS = {0: 1, 1: 3, 2: 6, 3: 10}
 
 
+def powers(x, y, count: int) -> list:
+    """The first ``count`` powers of places ``x`` and ``y``, from -1 to 1, of any one shape."""
+    return [x**i * y**j for i, j in POWERS[:count]]
+
+
 def terms(pixels: Int[Array, " n"], size: tuple[int, int], count: int) -> Float[Array, "n k"]:
     """The first ``count`` powers of the place at row-major ``pixels`` of a picture of ``size``."""
     h, w = size
     at = columns_rows(pixels, w, jnp.result_type(float))
     x, y = 2 * (at[:, 0] + 0.5) / w - 1, 1 - 2 * (at[:, 1] + 0.5) / h
-    return jnp.stack([x**i * y**j for i, j in POWERS[:count]], -1)
+    return jnp.stack(powers(x, y, count), -1)
 
 
 class DiscLight(AbstractModel):

@@ -36,8 +36,12 @@ def refined(
     rng = np.random.default_rng(seed)
     pixels = np.sort(rng.permutation(usable)[:ROWS])
     k, c = model.background.shape
-    back = np.asarray(terms(jnp.asarray(pixels), (h, w), k) @ model.background)
-    goal = (picture.levels.reshape(-1, c)[pixels] / LEVELS - back).mean(1).astype(np.float64)
+    back = np.array(terms(jnp.asarray(pixels), (h, w), k) @ model.background)
+    back *= model.convention.background_gain
+    light = picture.levels.reshape(-1, c)[pixels] / LEVELS - back
+    if model.convention.blend == "screen":
+        light /= np.maximum(1 - back, 0.05)
+    goal = light.mean(1).astype(np.float64)
     sums = _sums(model, pixels, (h, w))
     known = np.where(unknown, 0.0, picture.mask).reshape(-1)
     goal = (goal - sums @ known) * LEVELS

@@ -17,7 +17,7 @@ import numpy as np
 from jax import lax
 from scipy import ndimage
 
-from godfit.disc import POWERS
+from godfit.disc import powers
 from godfit.observation import LEVELS, Picture, shrink
 from godfit.screen import DENSITIES, STEPS, read_rays
 from godfit.segment import regions
@@ -140,7 +140,7 @@ def starts(
     fine = shrink(open_, (FINE, FINE))
     at = np.stack([u * fine.shape[1] / 2 - 0.5, (1 - v) * fine.shape[0] / 2 - 0.5], -1)
     x, y = 2 * u - 1, 2 * v - 1
-    basis = np.stack([x**i * y**j for i, j in POWERS[:terms]], -1)
+    basis = np.stack(powers(x, y, terms), -1)
     shapes = np.array(list(itertools.product(KAPPAS, DENSITIES)), np.float32)
     middles = (np.arange(STEPS) + 0.5) / STEPS
     part = np.clip(shapes[:, 1:] * STEPS - np.arange(STEPS), 0, 1)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from godfit.disc import POWERS, TERMS
+from godfit.disc import TERMS, powers
 from godfit.observation import LEVELS
 
 # A difference of channels this many levels off, or this many times its own spread, is another
@@ -45,7 +45,7 @@ def field(values: np.ndarray, known: np.ndarray, degree: int, rounds: int = 30):
     if len(at) > PIXELS:
         at = np.random.default_rng(0).choice(at, PIXELS, replace=False)
     x, y = 2 * (at % w + 0.5) / w - 1, 1 - 2 * (at // w + 0.5) / h
-    basis = np.stack([x**i * y**j for i, j in POWERS[: TERMS[degree]]], -1)
+    basis = np.stack(powers(x, y, TERMS[degree]), -1)
     goal = values.reshape(-1)[at].astype(np.float64)
     # The commonest value to begin with.
     counts, ends = np.histogram(goal, bins=np.arange(goal.min() - 1, goal.max() + 3, 2.0))
@@ -64,9 +64,10 @@ def field(values: np.ndarray, known: np.ndarray, degree: int, rounds: int = 30):
         width = max(0.7 * width, 3 * spread, 1.0)
     rows, columns = np.arange(h), np.arange(w)
     px, py = 2 * (columns + 0.5) / w - 1, 1 - 2 * (rows + 0.5) / h
-    powers = POWERS[: len(coefficients)]
-    each = [c * px**i * py[:, None] ** j for c, (i, j) in zip(coefficients, powers, strict=True)]
-    whole = np.sum(each, 0)
+    across, down = np.meshgrid(px, py)
+    whole = np.zeros((h, w))
+    for coefficient, power in zip(coefficients, powers(across, down, TERMS[degree]), strict=True):
+        whole += coefficient * power
     return whole, max(spread, 0.3)
 
 
