@@ -39,9 +39,10 @@ def made(
     shader: str = "dawntime",
     at: np.ndarray | None = None,
     shared: dict[str, float] | None = None,
+    panel: bool = True,
 ) -> Screen:
     """The screenshot of a seed. ``at`` puts the light (texture coordinates) and ``shared`` shader
-    parameters where they are given, as in the frames of one clip."""
+    parameters where they are given, as in the frames of one clip, which have no ``panel``."""
     rng = np.random.default_rng([seed, BACKGROUNDS.index(background)])
     h, w = size
     light = rng.uniform(-0.1, 1.1, 2)
@@ -99,7 +100,7 @@ def made(
         + np.floor(255 * np.clip(light_pass, 0, 1) + 0.5)[..., None]
     )
     image = np.clip(levels, 0, 255).astype(np.uint8)
-    panels = _panels(rng, image, centre * h)
+    panels = _panels(rng, image, centre * h) if panel else ()
     return Screen(image, truth, panels, mask, scale)
 
 

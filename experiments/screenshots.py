@@ -75,25 +75,13 @@ def errors(screen: Screen, result: godfit.FitResult) -> dict[str, float]:
         quoted = params[name].stderr
         row[name], row[name + "/"] = off, off / quoted if quoted else np.nan
     row["decay"] = (value("decay") / truth["decay"]) ** n - 1
-    gain = truth["exposure"] * truth["weight"]
-    row["gain"] = value("exposure") * value("weight") / gain - 1
-    row["gain/"] = row["gain"] / product_error(result)
+    gain, found = truth["exposure"] * truth["weight"], result.combined["exposure*weight"]
+    row["gain"] = found.value / gain - 1
+    row["gain/"] = (found.value - gain) / found.stderr if found.stderr else np.nan
     row["light"] = float(np.hypot(row["light_x"], row["light_y"]))
     row["converged"] = result.converged
     row["warned"] = bool(result.warnings)
     return row
-
-
-def product_error(result: godfit.FitResult) -> float:
-    """The quoted relative error of exposure*weight."""
-    names = list(result.params)
-    i, j = names.index("exposure"), names.index("weight")
-    e, w = result.params["exposure"].value, result.params["weight"].value
-    slope = np.zeros(len(names))
-    slope[i], slope[j] = 1 / e, 1 / w
-    block = np.ix_([i, j], [i, j])
-    part = slope[[i, j]] @ result.covariance[block] @ slope[[i, j]]
-    return float(np.sqrt(part)) if np.isfinite(part) and part > 0 else float("nan")
 
 
 def report(kind: str, rows: list[dict[str, float]]) -> None:

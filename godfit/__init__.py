@@ -9,6 +9,7 @@ from godfit.errors import InputError
 from godfit.image import Image, read_image, write_image
 
 if TYPE_CHECKING:
+    from godfit.clip import ClipResult, fit_clip
     from godfit.fitting import fit
     from godfit.models import Mitchell
     from godfit.radial import radial_sum
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CONVENTIONS",
+    "ClipResult",
     "Estimate",
     "FitResult",
     "Image",
@@ -27,6 +29,7 @@ __all__ = [
     "Scene",
     "Taps",
     "fit",
+    "fit_clip",
     "radial_sum",
     "rasterise",
     "read_image",
@@ -36,12 +39,14 @@ __all__ = [
 
 _HOMES = {
     "CONVENTIONS": "godfit.taps",
+    "ClipResult": "godfit.clip",
     "Estimate": "godfit.result",
     "FitResult": "godfit.result",
     "Mitchell": "godfit.models",
     "Scene": "godfit.scene",
     "Taps": "godfit.taps",
     "fit": "godfit.fitting",
+    "fit_clip": "godfit.clip",
     "radial_sum": "godfit.radial",
     "rasterise": "godfit.raster",
     "read_scene": "godfit.scene",

@@ -8,6 +8,7 @@ import json
 import math
 import os
 import platform
+from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,12 +35,9 @@ def number(value: float, stderr: float | None) -> str:
     return f"{value:#.{min(max(digits, 4), 9)}g}".rstrip(".")
 
 
-def _rows(result: FitResult) -> list[tuple[str, str, str, str]]:
+def rows(params: Mapping[str, Estimate]) -> list[tuple[str, str, str, str]]:
     """(name, value, error, remark) of every parameter."""
-    return [
-        (name, number(e.value, e.stderr), _error(e), _remark(e))
-        for name, e in result.params.items()
-    ]
+    return [(name, number(e.value, e.stderr), _error(e), _remark(e)) for name, e in params.items()]
 
 
 def _error(e: Estimate) -> str:
@@ -57,7 +55,7 @@ def _remark(e: Estimate) -> str:
     return "" if e.stderr is not None else "not determined"
 
 
-def _given(model: AbstractModel) -> str:
+def given(model: AbstractModel) -> str:
     """What was not fitted, in words."""
     return ", ".join(
         f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
@@ -71,13 +69,13 @@ def summary(result: FitResult) -> str:
     height, width = result.picture.size
     wide = max(10, *map(len, result.params))
     lines = [
-        f"{model.name} model, {_given(model)}, {width}x{height} pixels",
+        f"{model.name} model, {given(model)}, {width}x{height} pixels",
         "",
         f"  {'parameter':<{wide}} {'value':>13}   {'standard error':<18}",
     ]
     lines += [
         f"  {name:<{wide}} {value:>13}   {error:<18} {remark}".rstrip()
-        for name, value, error, remark in _rows(result)
+        for name, value, error, remark in rows(result.params)
     ]
     if result.correlations:
         pairs = list(result.correlations.items())[:3]
@@ -108,24 +106,14 @@ def summary(result: FitResult) -> str:
 def as_json(result: FitResult, command: str = "") -> dict[str, Any]:
     """The contents of fit.json; numbers that are not finite become null."""
     model = result.model
-    names = ("jax", "jaxlib", "equinox", "optimistix", "numpy")
     return {
         "schema": SCHEMA,
         "converged": result.converged,
         "message": result.message,
         "model": model.name,
         **model.settings,
-        "params": {
-            name: {
-                "value": _finite(e.value),
-                "stderr": _finite(e.stderr),
-                "fixed": e.fixed,
-                "at_bound": e.at_bound,
-                **({"interval95": list(e.interval)} if e.interval else {}),
-                **({"posterior95": list(e.posterior)} if e.posterior else {}),
-            }
-            for name, e in result.params.items()
-        },
+        "params": {name: estimate(e) for name, e in result.params.items()},
+        "combined": {name: estimate(e) for name, e in result.combined.items()},
         "correlations": {pair: round(value, 6) for pair, value in result.correlations.items()},
         "undetermined": list(result.undetermined),
         "warnings": list(result.warnings),
@@ -145,13 +133,27 @@ def as_json(result: FitResult, command: str = "") -> dict[str, Any]:
         "pixels_clipped": result.pixels_clipped,
         "timing_s": {k: round(v, 4) for k, v in result.timing_s.items()},
         "inputs": result.inputs,
-        "versions": {
-            "godfit": metadata.version("godfit"),
-            "python": platform.python_version(),
-            **{name: metadata.version(name) for name in names},
-        },
+        "versions": versions(),
         "command": command,
     }
+
+
+def estimate(e: Estimate) -> dict[str, Any]:
+    """A parameter's entry in fit.json."""
+    return {
+        "value": _finite(e.value),
+        "stderr": _finite(e.stderr),
+        "fixed": e.fixed,
+        "at_bound": e.at_bound,
+        **({"interval95": list(e.interval)} if e.interval else {}),
+        **({"posterior95": list(e.posterior)} if e.posterior else {}),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Of the program and what its numbers come from."""
+    names = ("godfit", "jax", "jaxlib", "equinox", "optimistix", "numpy")
+    return {"python": platform.python_version()} | {n: metadata.version(n) for n in names}
 
 
 def _finite(value: float | None) -> float | None:
@@ -218,7 +220,7 @@ def plot(result: FitResult) -> Figure:
     _write_parameters(figure.add_axes(place(gap, 0.05, whole[0] - gap, text)), result)
     state = "converged" if result.converged else "NOT CONVERGED"
     figure.suptitle(
-        f"{result.model.name}, {_given(result.model)}: {state}, residual "
+        f"{result.model.name}, {given(result.model)}: {state}, residual "
         f"{result.rmse_levels:.2f} levels rms",
         fontsize=12,
         y=1 - 0.12 / whole[1],
@@ -258,7 +260,7 @@ def _write_parameters(axes, result: FitResult) -> None:
     wide = max(9, *map(len, result.params))
     lines = [
         f"{name:<{wide}} {value:>12} \N{PLUS-MINUS SIGN} {error:<18} {remark}".rstrip()
-        for name, value, error, remark in _rows(result)
+        for name, value, error, remark in rows(result.params)
     ]
     half = (len(lines) + 1) // 2
     style: dict[str, Any] = {"family": "monospace", "fontsize": 9, "va": "top"}
@@ -292,7 +294,7 @@ def html(result: FitResult) -> str:
     head = "<tr><th>parameter</th><th>value</th><th>standard error</th><th></th></tr>"
     body = "".join(
         "<tr>" + "".join(f"<td>{markup.escape(cell)}</td>" for cell in row) + "</tr>"
-        for row in _rows(result)
+        for row in rows(result.params)
     )
     words = markup.escape("; ".join([result.message, *result.undetermined, *result.warnings]))
     return f"<table>{head}{body}</table><p>{words}</p>"

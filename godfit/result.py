@@ -36,9 +36,11 @@ class Estimate:
 class FitResult:
     """What the picture says. Arrays are (h, w) or (h, w, 3); levels are 8-bit levels.
 
-    ``covariance`` is that of the parameters in the order of ``params`` (NaN where held);
-    ``correlations`` keeps the pairs above 0.1 in size, largest first; ``undetermined`` names in
-    words what the picture leaves open, ``warnings`` why the model may be the wrong one.
+    ``combined`` has the product that is known even where its factors are not,
+    ``"exposure*weight"``. ``covariance`` is that of the parameters in the order of ``params`` (NaN
+    where held); ``correlations`` keeps the pairs above 0.1 in size, largest first;
+    ``undetermined`` names in words what the picture leaves open, ``warnings`` why the model may be
+    the wrong one.
     ``pixels_effective`` is how many independent pixels say as much: fewer than ``pixels`` where
     their errors are correlated. ``starts_agreed`` is (agreeing, tried) where other starts were
     tried. ``noise_levels`` is the standard deviation of the noise
@@ -50,6 +52,7 @@ class FitResult:
     message: str
     model: AbstractModel
     params: dict[str, Estimate]
+    combined: dict[str, Estimate]
     covariance: np.ndarray
     correlations: dict[str, float]
     undetermined: tuple[str, ...]

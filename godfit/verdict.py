@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from godfit import correlated, diagnostics, search
+from godfit.estimates import estimates
 from godfit.inference import Evidence, Misfit, misfit
-from godfit.models import AbstractModel, Vector
+from godfit.models import AbstractModel
 from godfit.observation import LEVELS, Observation, Picture
-from godfit.result import Estimate, FitResult
+from godfit.result import FitResult
 from godfit.solver import linearise
 
 STRUCTURED = (
@@ -45,6 +45,32 @@ class Found:
     other_transfer: bool = False
 
 
+class Spread(NamedTuple):
+    """``covariance`` (p, p) of the coordinates, zero for those that are not free; how many pixels
+    each independent one stands for, ``growth``, and each of the light pass, ``upsampled``; what may
+    be wrong, and how unlike noise what is left is."""
+
+    covariance: np.ndarray
+    growth: float
+    upsampled: float
+    suspects: list[diagnostics.Suspect]
+    left: Misfit
+
+
+def spread(found: Found) -> Spread:
+    """How well the coordinates are known, all that is known to be correlated or doubtful counted
+    in."""
+    left = misfit(found.at.prediction, found.seen)
+    # The pixels of an upsampled pass share its texels and say no more than these.
+    upsampled = float(np.prod(found.picture.size) / np.prod(found.picture.mask.shape[:2]))
+    covariance, growth, suspects = _correlated(found, found.at.covariance(found.free), left)
+    covariance = covariance * max(1.0, upsampled / growth)
+    for shift in found.shifts:
+        covariance += np.outer(shift, shift)
+    growth = max(growth, upsampled, found.picture.repeats)
+    return Spread(covariance, growth, upsampled, suspects, left)
+
+
 def verdict(
     found: Found,
     used: np.ndarray,
@@ -55,52 +81,24 @@ def verdict(
 ) -> FitResult:
     """The result; ``used`` (p,) says which parameters the shader has, ``seed`` how pixels were
     chosen."""
-    model, picture, seen = found.model, found.picture, found.seen
-    settled, at, free, held = found.settled, found.at, found.free, found.held
-    open_, pixels = found.opened, np.asarray(found.seen.pixels)
-    names = list(model.parameters)
-    opened = [i for i, _ in open_]
-    z = np.where(np.isnan(held), settled.coordinates, held)
-    z = np.where(np.isin(np.arange(len(names)), opened), z, settled.coordinates)
-    # An open parameter is held only for want of better: what it would move is not known either.
-    loose = np.where(np.isin(np.arange(len(names)), opened), np.nan, held).astype(np.float32)
-    fitted, values, by_coordinate = _parameters(model, z.astype(np.float32), loose)
-    values, by_coordinate = np.asarray(values), np.asarray(by_coordinate, np.float64)
-    # The pixels of an upsampled pass share its texels and say no more than these.
-    low, full = np.prod(picture.mask.shape[:2]), np.prod(picture.size)
-    left = misfit(at.prediction, seen)
-    by_pixel, growth, suspects = _correlated(found, at.covariance(free), left)
-    by_pixel *= max(1.0, full / low / growth)
-    growth = max(growth, full / low, picture.repeats)
-    for shift in found.shifts:
-        by_pixel += np.outer(shift, shift)
-    covariance = by_coordinate @ by_pixel @ by_coordinate.T
-    # A parameter that an open coordinate would change is not known, however well the rest is.
-    unknown = (
-        (np.abs(by_coordinate[:, opened]) > 0).any(1) if opened else np.zeros(len(names), bool)
+    picture, seen, settled, at = found.picture, found.seen, found.settled, found.at
+    pixels = np.asarray(seen.pixels)
+    errs = spread(found)
+    left = errs.left
+    told = estimates(
+        found.model,
+        settled.coordinates,
+        errs.covariance,
+        found.free,
+        found.held,
+        found.opened,
+        used,
     )
-    unknown |= np.isin(np.arange(len(names)), opened) | (np.diag(covariance) <= 0)
-    stderr = np.sqrt(np.where(unknown, np.nan, np.diag(covariance)))
-    covariance[unknown] = covariance[:, unknown] = np.nan
-    lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
-    # Within its error of a bound, a value is as good as on it.
-    error = np.sqrt(np.diag(by_pixel))
-    at_bound = (settled.coordinates - lower <= error) | (upper - settled.coordinates <= error)
-    params = {
-        name: Estimate(
-            float(values[i]),
-            None if unknown[i] else float(stderr[i]),
-            fixed=bool(not np.isnan(held[i]) and i not in opened),
-            at_bound=bool(free[i] and at_bound[i]),
-        )
-        for i, name in enumerate(names)
-        if used[i]
-    }
     target = picture.levels.reshape(-1, picture.channels)[pixels].reshape(-1)
     error = np.clip(at.prediction, 0, LEVELS) - target
     rmse = float(np.sqrt(np.mean(error.astype(np.float64) ** 2)))
     # A pass that is upsampled was rounded once before.
-    allowed = search.WITHIN_ROUNDING * (2 if low < full else 1)
+    allowed = search.WITHIN_ROUNDING * (2 if errs.upsampled > 1 else 1)
     trusted = settled.sigma <= allowed or left.like_noise
     remarks = found.remarks
     if picture.foreign and not found.objection:
@@ -109,31 +107,32 @@ def verdict(
         trusted = True
     trusted = trusted and not found.objection
     # One line of pixels, repeated, has so many explanations that its errors say nothing.
-    a_line = picture.repeats > 1 and int(free.sum()) > 2
+    a_line = picture.repeats > 1 and int(found.free.sum()) > 2
     converged = trusted and settled.quiet and not a_line
     return FitResult(
         converged=converged,
         message=found.objection or _message(settled, trusted, left, a_line),
-        model=fitted,
-        params=params,
-        covariance=covariance,
-        correlations=_correlations(names, covariance),
-        undetermined=_sentences(open_, names, values, model.product),
-        warnings=(*(s.words for s in suspects), *remarks),
+        model=told.model,
+        params=told.params,
+        combined=told.combined,
+        covariance=told.covariance,
+        correlations=_correlations(list(found.model.parameters), told.covariance),
+        undetermined=told.undetermined,
+        warnings=(*(s.words for s in errs.suspects), *remarks),
         notes=notes,
         noise_levels=settled.sigma,
         rmse_levels=rmse,
         psnr_db=float(20 * np.log10(LEVELS / max(rmse, 1e-6))),
         pixels=len(pixels),
-        pixels_effective=len(pixels) / growth,
+        pixels_effective=len(pixels) / errs.growth,
         pixels_clipped=int((picture.clipped & picture.valid).sum()),
         residual_correlation=left.correlation,
         residual_tails=left.tails,
         log_likelihood=settled.log_likelihood,
         timing_s=timing | {"solve": timing["solve"] - timing["compile"]},
         picture=picture,
-        free=free,
-        held=held_at(held, opened, values),
+        free=found.free,
+        held=told.held,
         seed=seed,
         starts_agreed=found.starts_agreed,
         inputs=files,
@@ -168,21 +167,6 @@ def _correlated(
     return covariance, growth, suspects
 
 
-def held_at(held: np.ndarray, opened: list[int], values: np.ndarray) -> np.ndarray:
-    """(p,) where parameters are held, those that are open where they were left; NaN if free."""
-    return np.where(np.isin(np.arange(len(held)), opened), values, held).astype(np.float32)
-
-
-@eqx.filter_jit
-def _parameters(model: AbstractModel, coordinates: Vector, held: Vector):
-    """The model at ``coordinates``, its parameters (p,), their derivatives (p, p) by coordinate."""
-
-    def values(z):
-        return jnp.stack(list(model.moved(z, held).values().values()))
-
-    return model.moved(coordinates, held), values(coordinates), jax.jacfwd(values)(coordinates)
-
-
 def _message(settled: search.Settled, trusted: bool, left: Misfit, a_line: bool) -> str:
     if not trusted:
         return (
@@ -211,31 +195,3 @@ def _correlations(names: list[str], covariance: np.ndarray) -> dict[str, float]:
     }
     ordered = sorted(pairs.items(), key=lambda item: -abs(item[1]))
     return {pair: value for pair, value in ordered if abs(value) > 0.1}
-
-
-def _sentences(
-    open_: list[tuple[int, list[int]]],
-    names: list[str],
-    values: np.ndarray,
-    product: tuple[str, str],
-) -> tuple[str, ...]:
-    """What is left open, in words."""
-    opened = [index for index, _ in open_]
-    said, alone = [], []
-    for index, partners in open_:
-        rest = [names[i] for i in partners if i not in opened]
-        other = names.index(product[1])
-        if names[index] == product[0] and other not in opened:
-            both = values[index] * values[other]
-            said.append(f"only {product[0]}*{product[1]} is determined ({both:.6g})")
-        elif rest:
-            together = " and ".join([names[index], *rest])
-            said.append(f"only a combination of {together} is determined")
-        else:
-            alone.append(index)
-            continue
-        said[-1] += f"; {names[index]} was held at {values[index]:.6g}"
-    if alone:
-        held = ", ".join(f"{names[i]} (held at {values[i]:.6g})" for i in alone)
-        said.append(f"not determined by this picture: {held}")
-    return tuple(said)

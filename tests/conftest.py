@@ -9,16 +9,24 @@ import sys
 import tempfile
 
 os.environ["MPLBACKEND"] = "Agg"
-# Commands that tests run share what is compiled; nothing of an earlier run is trusted.
-os.environ["GODFIT_CACHE"] = tempfile.mkdtemp(prefix="godfit-")
+# All that is run at once shares what is compiled; nothing of an earlier run is trusted.
+os.environ["GODFIT_CACHE"] = (
+    os.environ["GODFIT_CACHE"]
+    if "PYTEST_XDIST_WORKER" in os.environ
+    else tempfile.mkdtemp(prefix="godfit-")
+)
 
 import jax
 import pytest
 from jaxtyping import install_import_hook
 
-atexit.register(shutil.rmtree, os.environ["GODFIT_CACHE"], ignore_errors=True)
+from godfit.cache import keep_compiled
+
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    atexit.register(shutil.rmtree, os.environ["GODFIT_CACHE"], ignore_errors=True)
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
+keep_compiled()
 
 # What numba compiles cannot be wrapped: it is loaded first, and all else once more.
 COMPILED = (

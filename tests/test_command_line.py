@@ -204,6 +204,23 @@ def test_what_a_fit_without_a_mask_does_not_do(disc, capsys, arguments, words):
     assert leftovers(disc.parent) == before
 
 
+@pytest.mark.parametrize(
+    ("arguments", "status", "words"),
+    [
+        (["FILE", "--mask", "FILE"], 2, "--mask: expected one picture"),
+        (["FILE", "--profile", "density"], 2, "--profile: expected one picture"),
+        (["FILE", "--every", "0"], 2, "--every"),
+        (["--every", "2"], 2, "--every: expected several frames or a video"),
+        (["none.png"], 1, "'none.png': expected an image or a video"),
+    ],
+)
+def test_what_several_frames_do_not_do(disc, capsys, arguments, status, words):
+    arguments = [str(disc) if a == "FILE" else a for a in arguments]
+    before = leftovers(disc.parent)
+    assert words in fails(capsys, status, "fit", disc, *arguments)
+    assert leftovers(disc.parent) == before
+
+
 def test_mask_of_a_scene_or_of_a_picture(disc, capsys):
     assert "got neither" in fails(capsys, 2, "mask", "-o", disc)
     assert "got both" in fails(capsys, 2, "mask", disc, "--from-image", disc, "-o", disc)

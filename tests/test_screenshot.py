@@ -1,6 +1,7 @@
 """A picture that comes with nothing: each step against what made the picture, and all of them."""
 
 import dataclasses
+import json
 import sys
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from scipy.stats import norm
 import godfit
 from godfit import screenshot, unaided
 from godfit.disc import FIRST, DiscLight
+from godfit.image import read_image
 from godfit.inputs import image
 from godfit.likelihood import ANY_LEVEL, deviance_residuals, interval
 from godfit.models import Mitchell
@@ -153,6 +155,33 @@ def test_light_and_shader_are_read_off_a_screenshot(screen):
     solid, truly = result.picture.mask < 0.5, screen.mask == 0
     assert (solid & ~truly).mean() < 0.005
     assert solid[truly].mean() > 0.3
+
+
+def test_two_frames_tell_one_shader_better(screen, tmp_path):
+    """The second has the light, the object and the background elsewhere."""
+    screen, alone = screen
+    names = ("decay", "density", "weight", "exposure", "samples")
+    shared = {name: screen.truth[name] for name in names}
+    place = np.array([0.4, 0.55])
+    other = made(1021, "flat", SIZE, at=place, shared=shared, panel=False)
+    samples = int(screen.truth["samples"])
+    shots = (s.image for s in (screen, other))
+    result = godfit.fit_clip(shots, shader="dawntime", samples=samples)
+    assert result.converged, result.message
+    one, two = result.frames
+    for frame, truth in ((one, [screen.truth["light_x"], screen.truth["light_y"]]), (two, place)):
+        np.testing.assert_allclose(frame.light, truth, atol=0.01)
+        for name in ("decay", "density"):
+            assert result.params[name].stderr < 1.01 * frame.params[name].stderr
+    assert result.params["density"].value == pytest.approx(shared["density"], abs=0.05)
+    # Each frame alone is what ``fit`` says of it.
+    assert one.params["density"].value == pytest.approx(alone.params["density"].value, abs=0.02)
+    result.save(tmp_path)
+    record = json.loads((tmp_path / "fit.json").read_text())
+    assert [f["used"] for f in record["frames"]] == [True, True]
+    assert record["params"]["density"]["stderr"] == result.params["density"].stderr
+    assert read_image(tmp_path / "fit.png").values.std() > 0.1
+    assert "frame 2" in result.summary()
 
 
 def test_an_occluder_that_is_given_stands_in_the_way(screen):

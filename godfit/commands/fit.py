@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from godfit.commands import STARTED
+from godfit.commands.clip import fit_frames
 from godfit.commands.options import PICTURE, RESULT, assignments
 from godfit.commands.study import (
     NOT_CONVERGED,
@@ -19,6 +20,7 @@ from godfit.commands.study import (
     working,
     written,
 )
+from godfit.frames import is_video
 
 if TYPE_CHECKING:
     from godfit.commands.progress import Progress
@@ -26,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("target")
+@click.argument("target", nargs=-1, required=True)
 @PICTURE
 @click.option("--occluder", help="Without a mask: what stands in the way, where not black.")
 @click.option("--model", help="mitchell, hoffman-preetham or flatland. [default: mitchell]")
@@ -34,16 +36,18 @@ if TYPE_CHECKING:
 @click.option("--lights", type=int, help="Number of lights. [default: 1]")
 @click.option("--fix", multiple=True, metavar="NAME[=VALUE]", help="Hold a parameter.")
 @click.option("--start", multiple=True, metavar="NAME=VALUE", help="Start a parameter here.")
+@click.option("--every", type=click.IntRange(1), help="Of a clip: each so many-th frame.")
 @click.option("--profile", multiple=True, metavar="NAME", help="95% interval of the likelihood.")
 @click.option("--posterior", is_flag=True, help="95% intervals of the posterior (blackjax).")
 @RESULT
 def fit(
-    target: str,
+    target: tuple[str, ...],
     free: tuple[str, ...],
     fix: tuple[str, ...],
     start: tuple[str, ...],
     profile: tuple[str, ...],
     posterior: bool,
+    every: int | None,
     ignore: tuple[str, ...],
     output: str | None,
     as_json: bool,
@@ -58,7 +62,8 @@ def fit(
     options override it. The result goes to x.godfit/: fit.json, fit.png, render.png.
 
     With neither a mask nor a scene TARGET is a finished picture: background, objects in the way,
-    panels on top and the light's disc are read off it, and fitted together.
+    panels on top and the light's disc are read off it, and fitted together. Several TARGETs, or a
+    video, are frames of one clip: one shader for all of them, a light for each.
 
     With --scene the mask is drawn from meshes. --free light.position (or light.radius,
     camera.position, object[0].position, object[0].rotation, ...) fits that as well. With --canvas
@@ -66,7 +71,16 @@ def fit(
     """
     fixed = assignments(fix, "--fix", optional=True)
     started = assignments(start, "--start", optional=False)
-    study = opened(target, given, ignore, output, alone=True)
+    first, *more = target
+    if more or is_video(first):
+        alone = {"free": free, "profile": profile, "posterior": posterior}
+        return fit_frames(
+            target, every or 1, given | alone, fixed, started, ignore, output, as_json=as_json,
+            seed=seed, quiet=quiet, verbose=verbose,
+        )  # fmt: skip
+    if every is not None:
+        raise click.UsageError("--every: expected several frames or a video with it, got a picture")
+    study = opened(first, given, ignore, output, alone=True)
     only_one(study.options, given)
     if free and "scene" not in study.options:
         raise click.UsageError(f"--free {free[0]}: expected --scene SCENE.toml with it, got a mask")

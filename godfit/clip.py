@@ -1,0 +1,271 @@
+"""Several frames of one clip: the shader's parameters are the same in all, light and occluders are
+each frame's own.
+
+Frames are taken one after another and fitted alone, as pictures that come with nothing; of each
+only its answer and covariance are kept, so that memory does not grow with their number. What they
+say of the shader is pooled, see ``pooling.py``, and every light is told again given that.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import time
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+import jax
+import numpy as np
+
+from godfit import inputs, unaided
+from godfit.errors import InputError
+from godfit.estimates import estimates
+from godfit.image import Image
+from godfit.inputs import Source
+from godfit.models import AbstractModel
+from godfit.observation import shrink
+from godfit.parameters import SCATTERING
+from godfit.pooling import Pool, pooled
+from godfit.result import Estimate
+from godfit.verdict import Found, spread
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SHARED = len(SCATTERING)
+# Longest side of the copy of a frame that the report shows.
+SHOWN = 640
+TOO_FEW = "only {} of {} frames agree on the shader; look at their own fits, one by one"
+LEFT_OUT = "{} of {} frames are left out, as they do not agree with the others"
+SCATTERED = "frames scatter {:.2g} times as much as they quote; errors are widened by that"
+
+
+class Frame(NamedTuple):
+    """What one frame says: its ``light`` (2,) with standard errors ``error`` (2,), told with what
+    all frames say of the shader; ``params`` of the scattering, as it alone has them; ``message``
+    says why it is left out, "" where it is not. ``combined`` is as in ``FitResult``."""
+
+    name: str
+    light: np.ndarray
+    error: np.ndarray
+    params: dict[str, Estimate]
+    combined: dict[str, Estimate]
+    message: str
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ClipResult:
+    """What a clip says: ``params`` of the shader with their ``covariance`` (6, 6; NaN where held,
+    open, or a light's), ``frames`` in their order, ``shown`` (h, w, 3) a small copy of the
+    first."""
+
+    converged: bool
+    message: str
+    model: AbstractModel
+    params: dict[str, Estimate]
+    combined: dict[str, Estimate]
+    covariance: np.ndarray
+    frames: tuple[Frame, ...]
+    undetermined: tuple[str, ...]
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    timing_s: dict[str, float]
+    shown: np.ndarray
+
+    def summary(self) -> str:
+        """The table that the command line prints, as plain text."""
+        from godfit.clip_report import summary
+
+        return summary(self)
+
+    def plot(self) -> Figure:
+        """A matplotlib figure: the light's path, and what each frame says of the shader."""
+        from godfit.clip_report import plot
+
+        return plot(self)
+
+    def save(self, folder: str | os.PathLike[str]) -> None:
+        """Write fit.json and fit.png into ``folder``; raises OSError."""
+        from godfit.clip_report import save
+
+        save(self, folder)
+
+
+class _Answer(NamedTuple):
+    """Of one frame alone: coordinates ``at`` (6,) of scattering and light, their ``covariance``
+    (6, 6), zero for those that are held, ``open_`` as in ``Found``."""
+
+    name: str
+    at: np.ndarray
+    covariance: np.ndarray
+    open_: list[tuple[int, list[int]]]
+    message: str
+
+
+def fit_clip(
+    frames: Iterable[Source],
+    *,
+    shader: str | None = None,
+    samples: int | None = None,
+    pass_scale: float = 1.0,
+    valid: np.ndarray | None = None,
+    fix: Mapping[str, float | None] | None = None,
+    start: Mapping[str, float] | None = None,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> ClipResult:
+    """Fit one shader, and a light for each frame, to several finished pictures.
+
+    **Arguments:** as of ``godfit.fit``. `frames` are taken one at a time, so that a generator will
+    do; `valid` (h, w) holds for all of them.
+
+    **Returns:** a `ClipResult`. Raises `InputError`, a ValueError of one line, for frames that
+    cannot be read, and for fewer than two.
+    """
+    began = time.perf_counter()
+    shading = inputs.template(shader or "mitchell", samples, 1)
+    fix, start, say = fix or {}, start or {}, progress or (lambda text: None)
+    answers: list[_Answer] = []
+    notes: list[str] = []
+    warnings: list[str] = []
+    shown = np.zeros((0, 0, 3))
+    with jax.enable_x64(False):
+        held = inputs.parameters(shading, fix, start)[1]
+        for source in frames:
+            image = inputs.image(source, "none")
+            count = len(answers) + 1
+            name = image.path or f"frame {count}"
+            _check_size(name, image, valid)
+            found, said = unaided.found_in(
+                image, shading, valid, None, pass_scale, fix, start, seed,
+                lambda text, at=count: say(f"frame {at}: {text}"),
+            )  # fmt: skip
+            notes += [f"{name}: {note}" for note in (*image.notes, *said)]
+            warnings += found.remarks
+            answers.append(_answer(name, found))
+            if count == 1:
+                shown = _small(image)
+        if len(answers) < 2:
+            raise InputError(f"frames: expected at least two, got {len(answers)}")
+        return _concluded(
+            answers, shading, held, tuple(notes), tuple(dict.fromkeys(warnings)), shown, began
+        )
+
+
+def _check_size(name: str, image: Image, valid: np.ndarray | None) -> None:
+    if valid is not None and image.values.shape[:2] != valid.shape:
+        (h, w), (height, width) = valid.shape, image.values.shape[:2]
+        raise InputError(
+            f"{name}: expected the first frame's {w}x{h} pixels, with --ignore, got "
+            f"{width}x{height}"
+        )
+
+
+def _small(image: Image) -> np.ndarray:
+    """(h, w, 3) a copy that is as large as the report needs."""
+    values = image.encoded if image.encoded.ndim == 3 else image.encoded[..., None]
+    values = np.broadcast_to(values, (*values.shape[:2], 3))
+    factor = -(-max(values.shape[:2]) // SHOWN)
+    return shrink(values, (values.shape[0] // factor, values.shape[1] // factor))
+
+
+def _answer(name: str, found: Found) -> _Answer:
+    count = SHARED + 2
+    model, at = found.model, found.settled.coordinates
+    at = np.asarray(model.moved(at, np.asarray(found.held, np.float32)).coordinates(), np.float64)
+    covariance = spread(found).covariance[:count, :count]
+    return _Answer(name, at[:count], covariance, found.opened, found.objection)
+
+
+def _information(answer: _Answer) -> np.ndarray:
+    """(4, 4) the inverse covariance of the scattering, 0 in the rows of what is not told."""
+    out = np.zeros((SHARED, SHARED))
+    block = answer.covariance[:SHARED, :SHARED]
+    told = np.diag(block) > 0
+    if answer.message or not told.any():
+        return out
+    size = np.sqrt(np.diag(block)[told])
+    inverse = np.linalg.pinv(block[np.ix_(told, told)] / np.outer(size, size), hermitian=True)
+    out[np.ix_(told, told)] = inverse / np.outer(size, size)
+    return out
+
+
+def _concluded(
+    answers: list[_Answer],
+    shading: AbstractModel,
+    held: np.ndarray,
+    notes: tuple[str, ...],
+    warnings: tuple[str, ...],
+    shown: np.ndarray,
+    began: float,
+) -> ClipResult:
+    informations = np.stack([_information(a) for a in answers])
+    pool = pooled(np.stack([a.at[:SHARED] for a in answers]), informations)
+    told = np.isfinite(np.diag(pool.covariance))
+    agrees = pool.agrees & (informations != 0).any((1, 2))
+    first = answers[int(agrees.argmax())]
+    spread = np.zeros((SHARED + 2, SHARED + 2))
+    spread[:SHARED, :SHARED] = np.where(told[:, None] & told, pool.covariance, 0.0)
+    open_ = [o for o in first.open_ if not told[o[0]]]
+    held[SHARED:] = first.at[SHARED:]
+    for index, _ in open_:
+        held[index] = first.at[index]
+    free, used = np.append(told, [False, False]), np.append(shading.used[:SHARED], [False, False])
+    z = np.append(pool.mean, first.at[SHARED:])
+    result = estimates(shading, z.astype(np.float32), spread, free, held, open_, used)
+    frames = tuple(
+        Frame(a.name, *_light(a, pool), *_alone(a, shading, used), _why(a, ok))
+        for a, ok in zip(answers, agrees, strict=True)
+    )
+    count, whole = int(agrees.sum()), len(answers)
+    converged = count >= max(2, whole / 2)
+    if count < whole:
+        warnings += (LEFT_OUT.format(whole - count, whole),)
+    if pool.growth > 2:
+        warnings += (SCATTERED.format(np.sqrt(pool.growth)),)
+    return ClipResult(
+        converged=converged,
+        message="converged" if converged else TOO_FEW.format(count, whole),
+        model=result.model,
+        params=result.params,
+        combined=result.combined,
+        covariance=result.covariance,
+        frames=frames,
+        undetermined=result.undetermined,
+        warnings=warnings,
+        notes=notes,
+        timing_s={"solve": time.perf_counter() - began},
+        shown=shown,
+    )
+
+
+def _why(answer: _Answer, agrees: bool) -> str:
+    if answer.message or agrees:
+        return answer.message
+    return "says something else of the shader than the others"
+
+
+def _light(answer: _Answer, pool: Pool) -> tuple[np.ndarray, np.ndarray]:
+    """The light (2,) and its errors (2,), with the scattering what the pool says that it is: the
+    conditional of a Gaussian."""
+    whole = answer.covariance
+    told = np.diag(whole)[:SHARED] > 0
+    own = whole[SHARED:, SHARED:]
+    light = answer.at[SHARED:].copy()
+    if told.any() and np.isfinite(np.diag(pool.covariance))[told].all():
+        across = whole[SHARED:, :SHARED][:, told]
+        by = across @ np.linalg.pinv(whole[:SHARED, :SHARED][np.ix_(told, told)], hermitian=True)
+        light += by @ (pool.mean - answer.at[:SHARED])[told]
+        own = own - by @ across.T + by @ pool.covariance[np.ix_(told, told)] @ by.T
+    return light, np.sqrt(np.maximum(np.diag(own), 0))
+
+
+def _alone(answer: _Answer, shading: AbstractModel, used: np.ndarray):
+    """Parameters and products as one frame alone has them."""
+    told = np.diag(answer.covariance) > 0
+    held = np.full(len(told), np.nan)
+    for index, _ in answer.open_:
+        held[index] = answer.at[index]
+    z = answer.at.astype(np.float32)
+    found = estimates(shading, z, answer.covariance, told, held, answer.open_, used)
+    return found.params, found.combined
