@@ -16,7 +16,6 @@ from scipy import sparse
 from godfit.disc import DiscLight, terms
 from godfit.observation import LEVELS, Picture
 
-ROWS = 4000
 ROUNDS, STEPS = 3, 40
 # Levels at which a pixel that is off no longer counts in full, and at which the pull to the prior
 # is worth as much as one pixel of the picture.
@@ -24,17 +23,23 @@ HUBER, PULL = 1.0, 3.0
 
 
 def refined(
-    model: DiscLight, picture: Picture, unknown: np.ndarray, prior: np.ndarray, seed: int
+    model: DiscLight,
+    picture: Picture,
+    unknown: np.ndarray,
+    prior: np.ndarray,
+    rows: int,
+    seed: int,
 ) -> np.ndarray:
     """(h, w) how open every pixel is: ``picture.mask`` where it is known, between 0 and 1 where
-    ``unknown``. All are (h, w) and of the picture's own size."""
+    ``unknown``, by so many pixels (``rows``) of the picture. All are (h, w) and of its own
+    size."""
     h, w = picture.size
     columns = np.flatnonzero(unknown)
     usable = np.flatnonzero(picture.valid & ~picture.clipped)
     if not len(columns) or len(usable) < 100:
         return picture.mask
     rng = np.random.default_rng(seed)
-    pixels = np.sort(rng.permutation(usable)[:ROWS])
+    pixels = np.sort(rng.permutation(usable)[:rows])
     k, c = model.background.shape
     back = np.array(terms(jnp.asarray(pixels), (h, w), k) @ model.background)
     back *= model.convention.background_gain

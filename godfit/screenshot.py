@@ -27,10 +27,17 @@ from godfit.solver import Point, solve
 
 # Share of pixels that the model may be silent about without being told.
 FOREIGN = 0.02
-# Longest side of the copy that is searched on, taps there, pixels for first and for later looks.
-SIDE, TAPS, FEW, MORE = 240, 48, 2048, 4096
-# Starts followed, and those refined with their shadows.
-STARTS, FOLLOWED = 6, 2
+# Longest side of the copy that is searched on, pixels for first and for later looks.
+SIDE, FEW, MORE = 240, 1024, 4096
+# Taps of first looks, and with shadows on the small copy: where a disc's edge is, too few do not
+# tell. On the finer copy there are as many as the shader has.
+COARSE_TAPS, TAPS = 48, 96
+# Starts, those tried with objects as they seem to be, and trials refined with their shadows; of
+# these, one whose cost is so many times the least is none.
+STARTS, TRIED, FOLLOWED, WORSE = 6, 2, 2, 1.5
+# How far, in picture heights, objects may reach into glare that hides them all; pixels, noise and
+# solves of each trial of it.
+GROWTHS, TRIAL, TRIAL_SIGMAS, TRIAL_SOLVES = (0.02, 0.045, 0.075), 768, (4.0, 1.0), 2
 # Pixels of the last look, in blocks of so many a side: what errs together is told by neighbours.
 LAST, BLOCK = 16_384, 16
 VEILS = (None, 0.05)
@@ -112,6 +119,12 @@ def template(shading: Mitchell, channels: int, degree: int) -> DiscLight:
     return DiscLight(shading, [0.1, 0.003, 0.05], np.zeros((TERMS[degree], channels)))
 
 
+def _with_taps(model: DiscLight, most: int) -> DiscLight:
+    """The same picture with no more than so many taps a ray."""
+    shading = dataclasses.replace(model.shading, samples=min(model.samples, most))
+    return DiscLight(shading, model.shape, model.background)
+
+
 def look(
     reading: Reading,
     shading: Mitchell,
@@ -125,8 +138,7 @@ def look(
     picture = reading.picture
     small = picture.shrunk(-(-max(picture.size) // SIDE))
     unknown = shrink(reading.unknown.astype(np.float32), small.size) > 0
-    few = dataclasses.replace(shading, samples=min(shading.samples, TAPS))
-    model = template(few, picture.channels, reading.degree)
+    model = _with_taps(template(shading, picture.channels, reading.degree), COARSE_TAPS)
     still = held(model).copy()
     free = np.isnan(still)
     if free[EDGE]:
@@ -153,24 +165,36 @@ def look(
     points.sort(key=lambda p: p.cost)
     again = [solve(p.coordinates, free, still, model, seen, COARSE) for p in points[:AGAIN]]
     points = sorted([*again, *points[AGAIN:]], key=lambda p: p.cost)
-    say(f"{FOLLOWED} of {len(points)} starts, with their shadows")
+    model = _with_taps(template(shading, picture.channels, reading.degree), TAPS)
+    masks = _reaching_into_glare(small)
+    first, *others = _apart(points)[:TRIED]
+    begun_with = [(first, mask) for mask in masks] + [(p, small.mask) for p in others]
+    say(f"{len(begun_with)} of {len(points)} starts and {len(masks)} masks, with their shadows")
+    seen = small.observe(small.informative(TRIAL, seed + 1))
+    args = (unknown, free, still, model, seen, seed)
+    trials = []
+    for point, prior in begun_with:
+        at = dataclasses.replace(seen, mask=jnp.asarray(prior))
+        point = _descend(point, free, still, model, at, COARSE, TRIAL_SOLVES)
+        tried, _ = _with_shadows(point, small, prior, TRIAL_SIGMAS, *args, TRIAL_SOLVES)
+        trials.append((tried, prior))
+    trials.sort(key=lambda t: t[0].cost)
+    trials = [t for t in trials[:FOLLOWED] if t[0].cost < WORSE * trials[0][0].cost]
+    say(f"{len(trials)} of them further")
     seen = small.observe(small.informative(MORE, seed + 1))
-    ended = []
-    for point in _apart(points)[:FOLLOWED]:
-        for sigma in (COARSE, 4.0, 2.0):
-            point = _descend(point, free, still, model, seen, sigma)
-        args = (unknown, free, still, model, seen, seed)
-        ended.append(_with_shadows(point, small, small.mask, SIGMAS, *args))
+    args = (unknown, free, still, model, seen, seed)
+    ended = [_with_shadows(p, small, prior, SIGMAS, *args) for p, prior in trials]
     point, mask = min(ended, key=lambda e: e[0].cost)
     agreed = sum(_near(p, point) for p in points)
     if small.size != picture.size:
         say("a finer copy")
         finer = picture.shrunk(-(-max(picture.size) // (2 * SIDE)))
-        begun_with = _enlarged(mask, small.mask, finer.mask)
+        model = template(shading, picture.channels, reading.degree)
+        prior = _enlarged(mask, small.mask, finer.mask)
         unknown = shrink(reading.unknown.astype(np.float32), finer.size) > 0
         seen = finer.observe(finer.informative(MORE, seed + 2))
         args = (unknown, free, still, model, seen, seed)
-        point, mask = _with_shadows(point, finer, begun_with, FINER, *args)
+        point, mask = _with_shadows(point, finer, prior, FINER, *args)
         small = finer
     share = _explained(point.coordinates, still, model, dataclasses.replace(small, mask=mask))
     fine = dataclasses.replace(picture, mask=_enlarged(mask, small.mask, picture.mask))
@@ -208,6 +232,21 @@ def _veiled(start: Mapping[str, float], veil: float | None) -> dict[str, float]:
     return {"gain": gain * (1 - veil), "veil_gain": gain * veil}
 
 
+def _reaching_into_glare(small: Picture) -> list[np.ndarray]:
+    """What may be open, (h, w) each: as it seems, and with objects that reach so far into glare,
+    where all channels are clipped and nothing is seen of them."""
+    glare = (small.levels >= LEVELS - small.half - 0.5).all(-1)
+    solid = small.mask < 0.5
+    masks = [small.mask]
+    for growth in GROWTHS:
+        steps = max(1, round(growth * small.size[0]))
+        reached = ndimage.binary_dilation(solid, iterations=steps, mask=solid | glare)
+        mask = np.where(reached & ~solid, 0, small.mask).astype(np.float32)
+        if not np.array_equal(mask, masks[-1]):
+            masks.append(mask)
+    return masks
+
+
 def _with_shadows(
     point: Point,
     small: Picture,
@@ -219,22 +258,32 @@ def _with_shadows(
     model: DiscLight,
     seen: Observation,
     seed: int,
+    solves: int = MAX_SOLVES,
 ) -> tuple[Point, np.ndarray]:
     """Light and occluders in turn, until they suit each other."""
     small = dataclasses.replace(small, mask=prior)
+    rows = len(seen.pixels)
     for sigma in sigmas:
         at = model.moved(point.coordinates, held)
-        small = dataclasses.replace(small, mask=refined(at, small, unknown, prior, seed))
+        small = dataclasses.replace(small, mask=refined(at, small, unknown, prior, rows, seed))
         seen = dataclasses.replace(seen, mask=jnp.asarray(small.mask))
-        point = _descend(point, free, held, model, seen, sigma)
+        point = _descend(point, free, held, model, seen, sigma, solves)
     return solve(point.coordinates, free, held, model, seen, 1.0), small.mask
 
 
-def _descend(point: Point, free, held, model: DiscLight, seen: Observation, sigma: float) -> Point:
+def _descend(
+    point: Point,
+    free: np.ndarray,
+    held: np.ndarray,
+    model: DiscLight,
+    seen: Observation,
+    sigma: float,
+    solves: int = MAX_SOLVES,
+) -> Point:
     """Solve until it makes no more headway: radius, veil, attenuation and light trade in a long,
     bent valley."""
     point = solve(point.coordinates, free, held, model, seen, sigma)
-    for _ in range(MAX_SOLVES):
+    for _ in range(solves):
         before = point
         point = solve(before.coordinates, free, held, model, seen, sigma)
         if not point.cost < 0.99 * before.cost:

@@ -123,7 +123,7 @@ def test_shadows_give_away_an_object_that_nothing_else_does():
     picture = Picture(levels, 0.5, np.ones(SIZE, bool), nothing_known, None, "none")
     unknown = np.zeros(SIZE, bool)
     unknown[15:60, 60:100] = True
-    found = refined(model, picture, unknown, nothing_known, 0)
+    found = refined(model, picture, unknown, nothing_known, 4000, 0)
     assert found[32:42, 78:84].mean() < 0.25
     assert found[unknown & (open_ == 1)].mean() > 0.85
 
