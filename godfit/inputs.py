@@ -367,4 +367,4 @@ def drawn(scene: Scene, antialias: bool) -> np.ndarray:
 
 @eqx.filter_jit
 def _rasterised(scene: Scene, antialias: bool):
-    return rasterise(scene, antialias=antialias)
+    return rasterise(scene, antialias=antialias, still=True)

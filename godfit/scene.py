@@ -143,9 +143,12 @@ def _find(scene: Scene, path: tuple[str, int, str]) -> Any:
 def _turn(angle: Float[Array, ""], i: int, j: int) -> Float[Array, "3 3"]:
     """Rotation from axis i towards axis j."""
     c, s = jnp.cos(angle), jnp.sin(angle)
-    return (
-        jnp.eye(3, dtype=angle.dtype).at[(i, j, i, j), (i, j, j, i)].set(jnp.stack([c, c, -s, s]))
-    )
+    rows = [
+        [jnp.asarray(float(row == column), angle.dtype) for column in range(3)] for row in range(3)
+    ]
+    rows[i][i], rows[i][j], rows[j][i], rows[j][j] = c, -s, s, c
+    # Not by ``.at[].set``: a scatter takes long to compile, and every object turns three times.
+    return jnp.stack([jnp.stack(row) for row in rows])
 
 
 def read_scene(path: str | os.PathLike[str]) -> Scene:
