@@ -35,9 +35,9 @@ COARSE_TAPS, TAPS = 48, 96
 # Starts, those tried with objects as they seem to be, and trials refined with their shadows; of
 # these, one whose cost is so many times the least is none.
 STARTS, TRIED, FOLLOWED, WORSE = 6, 2, 2, 1.5
-# How far, in picture heights, objects may reach into glare that hides them all; pixels, noise and
-# solves of each trial of it.
-GROWTHS, TRIAL, TRIAL_SIGMAS, TRIAL_SOLVES = (0.02, 0.045, 0.075), 768, (4.0, 1.0), 2
+# How far, in picture heights, objects may reach into glare that hides them all; pixels of each
+# trial of it, and the noise allowed for on the way, before and with shadows.
+GROWTHS, TRIAL, BEFORE, WITH = (0.02, 0.045, 0.075), 3072, (8.0, 4.0, 2.0), (1.0, 0.5)
 # Pixels of the last look, in blocks of so many a side: what errs together is told by neighbours.
 LAST, BLOCK = 16_384, 16
 VEILS = (None, 0.05)
@@ -125,6 +125,17 @@ def _with_taps(model: DiscLight, most: int) -> DiscLight:
     return DiscLight(shading, model.shape, model.background)
 
 
+def _at_taps(
+    coordinates: np.ndarray, held: np.ndarray, before: DiscLight, after: DiscLight
+) -> np.ndarray:
+    """Coordinates that look with the taps of ``after`` as these do with those of ``before``."""
+    z = np.array(before.moved(coordinates, held).coordinates(), np.float32)
+    if np.isnan(held[0]) and not np.isnan(held[3]):
+        # Of a weight that is held, more taps make more light.
+        z[0] *= before.samples / after.samples
+    return z
+
+
 def look(
     reading: Reading,
     shading: Mitchell,
@@ -165,7 +176,8 @@ def look(
     points.sort(key=lambda p: p.cost)
     again = [solve(p.coordinates, free, still, model, seen, COARSE) for p in points[:AGAIN]]
     points = sorted([*again, *points[AGAIN:]], key=lambda p: p.cost)
-    model = _with_taps(template(shading, picture.channels, reading.degree), TAPS)
+    few, model = model, _with_taps(template(shading, picture.channels, reading.degree), TAPS)
+    points = [p._replace(coordinates=_at_taps(p.coordinates, still, few, model)) for p in points]
     masks = _reaching_into_glare(small)
     first, *others = _apart(points)[:TRIED]
     begun_with = [(first, mask) for mask in masks] + [(p, small.mask) for p in others]
@@ -175,8 +187,9 @@ def look(
     trials = []
     for point, prior in begun_with:
         at = dataclasses.replace(seen, mask=jnp.asarray(prior))
-        point = _descend(point, free, still, model, at, COARSE, TRIAL_SOLVES)
-        tried, _ = _with_shadows(point, small, prior, TRIAL_SIGMAS, *args, TRIAL_SOLVES)
+        for sigma in BEFORE:
+            point = _descend(point, free, still, model, at, sigma)
+        tried, _ = _with_shadows(point, small, prior, WITH, *args)
         trials.append((tried, prior))
     trials.sort(key=lambda t: t[0].cost)
     trials = [t for t in trials[:FOLLOWED] if t[0].cost < WORSE * trials[0][0].cost]
@@ -189,7 +202,8 @@ def look(
     if small.size != picture.size:
         say("a finer copy")
         finer = picture.shrunk(-(-max(picture.size) // (2 * SIDE)))
-        model = template(shading, picture.channels, reading.degree)
+        few, model = model, template(shading, picture.channels, reading.degree)
+        point = point._replace(coordinates=_at_taps(point.coordinates, still, few, model))
         prior = _enlarged(mask, small.mask, finer.mask)
         unknown = shrink(reading.unknown.astype(np.float32), finer.size) > 0
         seen = finer.observe(finer.informative(MORE, seed + 2))
@@ -258,7 +272,6 @@ def _with_shadows(
     model: DiscLight,
     seen: Observation,
     seed: int,
-    solves: int = MAX_SOLVES,
 ) -> tuple[Point, np.ndarray]:
     """Light and occluders in turn, until they suit each other."""
     small = dataclasses.replace(small, mask=prior)
@@ -267,7 +280,7 @@ def _with_shadows(
         at = model.moved(point.coordinates, held)
         small = dataclasses.replace(small, mask=refined(at, small, unknown, prior, rows, seed))
         seen = dataclasses.replace(seen, mask=jnp.asarray(small.mask))
-        point = _descend(point, free, held, model, seen, sigma, solves)
+        point = _descend(point, free, held, model, seen, sigma)
     return solve(point.coordinates, free, held, model, seen, 1.0), small.mask
 
 
@@ -278,12 +291,11 @@ def _descend(
     model: DiscLight,
     seen: Observation,
     sigma: float,
-    solves: int = MAX_SOLVES,
 ) -> Point:
     """Solve until it makes no more headway: radius, veil, attenuation and light trade in a long,
     bent valley."""
     point = solve(point.coordinates, free, held, model, seen, sigma)
-    for _ in range(solves):
+    for _ in range(MAX_SOLVES):
         before = point
         point = solve(before.coordinates, free, held, model, seen, sigma)
         if not point.cost < 0.99 * before.cost:

@@ -26,7 +26,10 @@ def test_the_mean_is_weighted_by_information():
     answers, informations = frames(np.random.default_rng(0), 6)
     pool = pooled(answers, informations)
     roots = [np.linalg.cholesky(i).T for i in informations]
-    design, goal = np.vstack(roots), np.concatenate([r @ a for r, a in zip(roots, answers, strict=True)])
+    design, goal = (
+        np.vstack(roots),
+        np.concatenate([r @ a for r, a in zip(roots, answers, strict=True)]),
+    )
     assert pool.agrees.all()
     np.testing.assert_allclose(pool.mean, np.linalg.lstsq(design, goal)[0], rtol=1e-8)
     np.testing.assert_allclose(
