@@ -214,7 +214,7 @@ def _concluded(
     z = np.append(pool.mean, first.at[SHARED:])
     result = estimates(shading, z.astype(np.float32), spread, free, held, open_, used)
     frames = tuple(
-        Frame(a.name, *_light(a, pool), *_alone(a, shading, used), _why(a, ok))
+        Frame(a.name, *_light(a, pool), *_alone(a, shading, used), _why(a, bool(ok)))
         for a, ok in zip(answers, agrees, strict=True)
     )
     count, whole = int(agrees.sum()), len(answers)

@@ -249,13 +249,13 @@ def _veiled(start: Mapping[str, float], veil: float | None) -> dict[str, float]:
 def _reaching_into_glare(small: Picture) -> list[np.ndarray]:
     """What may be open, (h, w) each: as it seems, and with objects that reach so far into glare,
     where all channels are clipped and nothing is seen of them."""
-    glare = (small.levels >= LEVELS - small.half - 0.5).all(-1)
+    glare = np.all(small.levels >= LEVELS - small.half - 0.5, -1)
     solid = small.mask < 0.5
     masks = [small.mask]
     for growth in GROWTHS:
         steps = max(1, round(growth * small.size[0]))
         reached = ndimage.binary_dilation(solid, iterations=steps, mask=solid | glare)
-        mask = np.where(reached & ~solid, 0, small.mask).astype(np.float32)
+        mask = np.where(np.logical_and(reached, ~solid), 0, small.mask).astype(np.float32)
         if not np.array_equal(mask, masks[-1]):
             masks.append(mask)
     return masks

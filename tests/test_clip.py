@@ -1,0 +1,88 @@
+"""From what every frame says alone to one shader and the light's path."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+
+from godfit import clip, clip_report
+from godfit.image import read_image
+from godfit.models import Mitchell
+
+
+def truly():
+    with jax.enable_x64(False):
+        return Mitchell(0.05, 0.98, 0.8, 0.7, [[0.5, 0.5]], "dawntime", 60)
+
+
+def answers(seed, count):
+    """Frames that say the truth with errors of their own; exposure is not told."""
+    rng = np.random.default_rng(seed)
+    path = np.linspace([0.2, 0.3], [0.7, 0.6], count)
+    found = []
+    for i, light in enumerate(path):
+        root = rng.normal(size=(6, 6)) * [0, 0.05, 0.005, 0.02, 0.002, 0.002]
+        covariance = root.T @ root
+        with jax.enable_x64(False):
+            truth = np.asarray(truly().coordinates(), float)
+        truth[4:] = light
+        at = rng.multivariate_normal(truth, covariance)
+        at[0] = truth[0]
+        found.append(clip._Answer(f"shot_{i}.png", at, covariance, [(0, [3])], ""))
+    return found, path
+
+
+def concluded(found):
+    held = np.full(6, np.nan, np.float32)
+    shown = np.full((20, 30, 3), 0.5)
+    with jax.enable_x64(False):
+        return clip._concluded(found, truly(), held, (), (), shown, 0.0)
+
+
+def test_together_frames_tell_the_shader_better():
+    """Ten frames by more than the 2.5 that is asked, their root being 3.2; and no further off than
+    is quoted."""
+    found, path = answers(0, 10)
+    result = concluded(found)
+    assert result.converged
+    truth = {"decay": 0.98, "density": 0.8, "exposure*weight": 0.035}
+    for name, value in truth.items():
+        whole = (result.params | result.combined)[name]
+        alone = [(f.params | f.combined)[name].stderr for f in result.frames]
+        assert whole.stderr < np.median(alone) / 2.5
+        assert abs(whole.value - value) < 4 * whole.stderr
+    assert result.params["exposure"].stderr is None
+    assert "exposure*weight is determined" in result.undetermined[0]
+    for frame, light in zip(result.frames, path, strict=True):
+        assert (np.abs(frame.light - light) < 5 * frame.error).all()
+
+
+def test_a_frame_that_disagrees_is_left_out_and_named():
+    found, _ = answers(1, 6)
+    found[2] = found[2]._replace(at=found[2].at + np.array([0, 3, -0.3, 0.5, 0.2, 0.1]))
+    found[4] = found[4]._replace(message="no rays were found")
+    result = concluded(found)
+    assert result.converged
+    assert [bool(f.message) for f in result.frames] == [False, False, True, False, True, False]
+    assert "2 of 6 frames are left out" in result.warnings[0]
+
+
+def test_too_few_that_agree_are_no_answer():
+    found, _ = answers(2, 4)
+    found[:3] = [f._replace(message="no rays were found") for f in found[:3]]
+    result = concluded(found)
+    assert not result.converged
+    assert "only 1 of 4 frames" in result.message
+
+
+def test_the_record_and_the_figure(tmp_path):
+    result = concluded(answers(3, 3)[0])
+    clip_report.save(result, tmp_path, "godfit fit")
+    record = json.loads((tmp_path / "fit.json").read_text())
+    assert [f["path"] for f in record["frames"]] == ["shot_0.png", "shot_1.png", "shot_2.png"]
+    assert record["params"]["density"]["stderr"] == result.params["density"].stderr
+    assert record["params"]["exposure"]["stderr"] is None
+    assert record["frames"][1]["light_x"]["value"] == pytest.approx(0.45, abs=0.02)
+    assert read_image(tmp_path / "fit.png").values.std() > 0.1
+    assert "shot_2.png" in result.summary()
