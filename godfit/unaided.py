@@ -21,7 +21,7 @@ from godfit.inference import Evidence, evidence
 from godfit.models import Mitchell
 from godfit.observation import Observation, Picture
 from godfit.screenshot import predicted
-from godfit.solver import solve_tangent
+from godfit.solver import solve, solve_tangent
 from godfit.verdict import Found
 
 # Of what varies in a picture, the share that light must explain to be called rays. Photographs,
@@ -31,6 +31,8 @@ RAYS = 0.25
 FAINT = 0.1
 # The valley in which radius, veil and gain trade is long.
 ROUNDS = 25
+# Noise in levels that the copy's answer may be off by.
+NEAR = 2.0
 # Pixels without which nothing can be told.
 LEAST = 500
 NO_RAYS = (
@@ -100,7 +102,9 @@ def found_in(
     say(f"{len(seen.pixels):,} pixels")
     rays = looked.explained > RAYS
     rounds = ROUNDS if rays else 1
-    settled, tangent = search.settle(looked.coordinates, model, seen, free, held, rounds=rounds)
+    # At some noise first: where a copy's answer is a little off, rays must not pass for foreign.
+    z = solve(looked.coordinates, free, held, model, seen, NEAR).coordinates
+    settled, tangent = search.settle(z, model, seen, free, held, rounds=rounds)
     at = _with_ranges(evidence(settled, tangent, seen), model.ranges(settled.coordinates))
     found = Found(model, picture, seen, settled, at, free, held, opened, False)
     found.starts_agreed = looked.starts_agreed
