@@ -108,8 +108,9 @@ def plot(result: ClipResult) -> Figure:
         assert whole.stderr is not None
         low, high = whole.value - 1.96 * whole.stderr, whole.value + 1.96 * whole.stderr
         panel.axhspan(low, high, color="tab:orange", alpha=0.4, lw=0)
-        near = values[used] if used.any() else values
-        reach = max(1.5 * float(np.nanmax(np.abs(near - whole.value))), 8 * whole.stderr)
+        reaches = np.abs(values - whole.value) + 1.96 * np.nan_to_num(errors)
+        # Frames that know next to nothing of it do not set the scale.
+        reach = max(1.2 * float(np.median(reaches[used])) if used.any() else 0.0, 8 * whole.stderr)
         panel.set_ylim(whole.value - reach, whole.value + reach)
         panel.set_title(f"{name}\n{number(whole.value, whole.stderr)} ± {whole.stderr:.2g}")
         panel.set_xlabel("frame")
