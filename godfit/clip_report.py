@@ -12,7 +12,7 @@ import numpy as np
 
 from godfit.clip import ClipResult
 from godfit.image import atomic_write
-from godfit.report import SCHEMA, estimate, given, number, rows, versions
+from godfit.report import SCHEMA, estimate, given, number, parameter_table, versions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,23 +21,15 @@ if TYPE_CHECKING:
 def summary(result: ClipResult) -> str:
     """A plain-text table: the shader, the light of every frame, and what remains open."""
     model, frames = result.model, result.frames
-    wide = max(10, *map(len, result.params))
-    lines = [
-        f"{model.name} model, {given(model)}, {len(frames)} frames",
-        "",
-        f"  {'parameter':<{wide}} {'value':>13}   {'standard error':<18}",
-    ]
-    lines += [
-        f"  {name:<{wide}} {value:>13}   {error:<18} {remark}".rstrip()
-        for name, value, error, remark in rows(result.params)
-    ]
-    name_wide = max(5, *(len(Path(f.name).name) for f in frames))
-    lines += ["", f"  {'frame':<{name_wide}} {'light_x':>12} {'light_y':>12}   standard errors"]
+    lines = [f"{model.name} model, {given(model)}, {len(frames)} frames", ""]
+    lines += parameter_table(result.params)
+    wide = max(5, *(len(Path(f.name).name) for f in frames))
+    lines += ["", f"  {'frame':<{wide}} {'light_x':>12} {'light_y':>12}   standard errors"]
     for f in frames:
         (x, y), (dx, dy) = f.light, f.error
         remark = f"left out: {f.message}" if f.message else ""
         lines.append(
-            f"  {Path(f.name).name:<{name_wide}} {number(x, dx):>12} {number(y, dy):>12}   "
+            f"  {Path(f.name).name:<{wide}} {number(x, dx):>12} {number(y, dy):>12}   "
             f"{dx:.2g}, {dy:.2g}  {remark}".rstrip()
         )
     lines += ["", f"  {result.timing_s['solve']:.1f} s"]

@@ -59,7 +59,7 @@ def rasterise(
     With ``antialias`` a pixel is the mean over its area, exactly, and the mask is differentiable in
     the positions, rotations and scales of the objects, the camera and the light. Without, it has
     the colour of its centre, as WebGL draws it, and the derivative is zero, as it is of a
-    ``still``, which compiles in half the time.
+    ``still``, which has less to compile.
 
     Raises InputError for a light that is not before the camera, and where the contours have more
     fragments than ``FRAGMENTS`` and ``CROSSINGS`` leave room for.
@@ -92,7 +92,7 @@ def visible(scene: Scene) -> Visible:
 
 def coverage(scene: Scene, *, still: bool = False) -> Float[Array, "h w colours"]:
     """The share of every pixel that each colour of ``palette`` covers; sums to one. ``still`` has
-    no derivative, and compiles in half the time."""
+    no derivative, and less to compile."""
     height, width = scene.size
     colours = palette(scene)
     colour_of = tuple(colours.index(c) for c in _colours(scene))

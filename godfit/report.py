@@ -63,20 +63,22 @@ def given(model: AbstractModel) -> str:
     )
 
 
+def parameter_table(params: Mapping[str, Estimate]) -> list[str]:
+    """Lines: a head, and a line for every parameter."""
+    wide = max(10, *map(len, params))
+    head = f"  {'parameter':<{wide}} {'value':>13}   {'standard error':<18}"
+    return [head] + [
+        f"  {name:<{wide}} {value:>13}   {error:<18} {remark}".rstrip()
+        for name, value, error, remark in rows(params)
+    ]
+
+
 def summary(result: FitResult) -> str:
     """A plain-text table: what was fitted, to what, how well, and what remains open."""
     model = result.model
     height, width = result.picture.size
-    wide = max(10, *map(len, result.params))
-    lines = [
-        f"{model.name} model, {given(model)}, {width}x{height} pixels",
-        "",
-        f"  {'parameter':<{wide}} {'value':>13}   {'standard error':<18}",
-    ]
-    lines += [
-        f"  {name:<{wide}} {value:>13}   {error:<18} {remark}".rstrip()
-        for name, value, error, remark in rows(result.params)
-    ]
+    lines = [f"{model.name} model, {given(model)}, {width}x{height} pixels", ""]
+    lines += parameter_table(result.params)
     if result.correlations:
         pairs = list(result.correlations.items())[:3]
         lines += ["", "  correlations: " + "; ".join(f"{k} {v:+.4f}" for k, v in pairs)]
