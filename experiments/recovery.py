@@ -1,11 +1,16 @@
 """Are random truths found without a hint, and do the quoted errors cover them?
 
     python experiments/recovery.py [--seeds FIRST:LAST] [--noise LEVELS ...] [--figure FILE]
+                                   [--made KIND]
 
 Truths are drawn over density .3 to 1, decay^samples .001 to .9, the light up to 20% outside the
 frame; targets are 256x256 bytes rendered in float64 by other code than the fit's. A truth counts as
 found if every parameter is within the tolerance or within four of its quoted errors, whichever is
 larger. Coverage counts every parameter that the fit says is determined and not at a bound.
+
+``--made jpeg`` compresses targets, at qualities from 60 to 95; ``--made upsampled`` makes them with a
+light pass of half the size, read bilinearly, which the fit is told. There the pixels' errors are
+correlated.
 """
 
 from __future__ import annotations
@@ -16,6 +21,7 @@ import time
 import jax
 import numpy as np
 import scenes
+from diagnostics import encoded, enlarged
 
 from godfit import fit
 
@@ -24,12 +30,19 @@ RELATIVE = {"exposure": 0.03, "weight": 0.03}
 NAMES = ("exposure", "decay", "density", "weight", "light_x", "light_y")
 
 
-def attempt(seed: int, kind: str, noise: float):
+def attempt(seed: int, kind: str, noise: float, made: str = "plain"):
     """One fit: (found, converged, errors over standard errors (6,), seconds, description)."""
     mask, image, truth = scenes.draw(seed, kind)
+    options = {}
+    if made == "upsampled":
+        size = mask.shape[0]
+        low = mask.reshape(size // 2, 2, size // 2, 2).mean((1, 3)) / 255
+        image, options = enlarged(scenes.render64(low, truth), size), {"pass_scale": 0.5}
     target = scenes.to_bytes(image, noise, seed)
+    if made == "jpeg":
+        target = encoded(target, int(np.random.default_rng([seed, 7]).integers(60, 96)))
     began = time.perf_counter()
-    result = fit(target, mask=mask, shader="dawntime", samples=int(truth["samples"]))
+    result = fit(target, mask=mask, shader="dawntime", samples=int(truth["samples"]), **options)
     seconds = time.perf_counter() - began
     # Every number of samples is a program of its own: a hundred of them exhaust what memory maps a
     # process may have.
@@ -53,12 +66,17 @@ def main() -> None:
     parser.add_argument("--seeds", default="1000:1034")
     parser.add_argument("--noise", type=float, nargs="+", default=[0.0, 1.0])
     parser.add_argument("--kinds", nargs="+", default=list(scenes.FRESH))
+    parser.add_argument("--made", default="plain", choices=("plain", "jpeg", "upsampled"))
     parser.add_argument("--figure")
     options = parser.parse_args()
     first, last = (int(n) for n in options.seeds.split(":"))
     scores = {}
     for noise in options.noise:
-        runs = [attempt(seed, kind, noise) for seed in range(first, last) for kind in options.kinds]
+        runs = [
+            attempt(seed, kind, noise, options.made)
+            for seed in range(first, last)
+            for kind in options.kinds
+        ]
         for found, converged, _, _, words in runs:
             if not found or not converged:
                 print(f"  {'CONVERGED WRONG ' if converged and not found else ''}{words}")

@@ -56,8 +56,22 @@ def stages(make):
 
 @pytest.fixture(scope="module")
 def made(make, tmp_path_factory):
+    """All files made again. Masks and pictures of scenes and of canvases, which take long, are those
+    that lie there: that they are what scene and canvas make is tested below, one by one."""
     folder = tmp_path_factory.mktemp("data_synthetic")
-    with jax.enable_x64(True):
+
+    def lying(name):
+        return read_image(FOLDER / name).values.astype(float)
+
+    def render_stage(path, stage):
+        path.write_text(stage.text())
+        name = path.name.removesuffix(".scene.toml")
+        return read_scene(path), lying(f"{name}_mask.png"), lying(f"{name}.png")
+
+    names = iter(CANVASES)
+    with pytest.MonkeyPatch.context() as patch, jax.enable_x64(True):
+        patch.setattr(make, "render_stage", render_stage)
+        patch.setattr(make, "plane", lambda *_: lying(CANVASES[next(names)]["target"]))
         make.make(folder)
     return folder
 
