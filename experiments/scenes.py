@@ -115,12 +115,16 @@ def render64(mask: np.ndarray, truth: dict[str, float]) -> np.ndarray:
     return truth["exposure"] * out
 
 
-def draw(seed: int, kind: str, size: int = 256) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
-    """(mask as bytes, light pass unclamped (h, w) float64, truth) for a seed."""
+def draw(
+    seed: int, kind: str, size: int = 256, samples: int | None = None
+) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
+    """(mask as bytes, light pass unclamped (h, w) float64, truth) for a seed; the number of samples
+    is drawn as well where none is given."""
     rng = np.random.default_rng([seed, list(MASKS).index(kind)])
     light = rng.uniform(-0.2, 1.2, 2)
     mask = np.floor(MASKS[kind](rng, size, light) * 255 + 0.5).clip(0, 255).astype(np.uint8)
-    samples = int(rng.integers(40, 201))
+    drawn = int(rng.integers(40, 201))
+    samples = samples or drawn
     truth = {
         "decay": float(rng.uniform(0.001, 0.9) ** (1 / samples)),
         "density": float(rng.uniform(0.3, 1.0)),

@@ -90,7 +90,7 @@ def fit(
     - `shader`, `samples`: a name in `godfit.taps.CONVENTIONS`, by default the scene's or
       `"mitchell"`; its own default number of samples.
     - `rays`: of the light in the plane, for each pixel, by default 64.
-    - `lights`: how many lights are summed.
+    - `lights`: how many lights are summed; they start in order from left to right.
     - `pass_scale`: the size of the light pass against the mask's, at most 1.
     - `fov`, `distance`: of Hoffman-Preetham without a scene: the vertical field of view in degrees
       and how far what is seen lies, a number or (h, w), in metres or in units that `scale` makes

@@ -130,7 +130,7 @@ def starts(
         -1,
     ).astype(np.float32)
     goal, trust = (z.ravel()[chosen].astype(np.float32) for z in (target, weight))
-    places, required = places_for(light_grid(target, seed), given, lights)
+    places, told = places_for(light_grid(target, seed), given, lights)
     if shader.box:
         shapes, along, scale, own = np.ones((1, 2)), np.ones((1, 1), np.float32), 1.0, 0 * goal
         rays = _box_rays(jnp.asarray(mask), jnp.asarray(places), jnp.asarray(at), model)
@@ -147,7 +147,9 @@ def starts(
         rays = read_rays(jnp.asarray(fine), jnp.asarray(places), jnp.asarray(at))
     groups = np.arange(len(places))[:, None]
     if lights > 1:
+        required = tuple(range(len(told)))
         groups = _best_groups(rays, jnp.asarray(along), own, goal, trust, lights, required)
+        groups = np.array([_in_order(group, places, told) for group in groups])
         rays = jnp.stack([rays[g].sum(0) for g in groups])
     e, g, cost = (np.asarray(z) for z in _solve(rays, jnp.asarray(along), own, goal, trust))
     spots = places[groups].reshape(len(groups), -1)
@@ -177,6 +179,15 @@ def _with_given(model: Mitchell, start: np.ndarray, given: dict[str, float]) -> 
     return np.asarray(eqx.tree_at(lambda m: m.decay, at, decay).coordinates(), np.float32)
 
 
+def _in_order(group: np.ndarray, places: np.ndarray, told: tuple[int, ...]) -> list[int]:
+    """The lights of a group, first the ``told`` ones, in the order of the parameters: those where
+    they were given, the others from left to right."""
+    indices: list[int] = group.tolist()
+    first = dict(zip(told, indices, strict=False))
+    rest = sorted(indices[len(told) :], key=lambda i: tuple(places[i]))
+    return [first[i] if i in first else rest.pop(0) for i in range(len(indices))]
+
+
 def _light_pass(picture: Picture, model: Mitchell) -> tuple[np.ndarray, np.ndarray]:
     """Small copies of the light pass, background taken off, and of where it can be trusted."""
     shader = model.convention
@@ -194,13 +205,15 @@ def _light_pass(picture: Picture, model: Mitchell) -> tuple[np.ndarray, np.ndarr
 def places_for(
     places: np.ndarray, given: dict[str, float], lights: int
 ) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Candidate places for a light, and the indices of those that must be taken."""
+    """Candidate places for a light, and which lights are told: their places come first."""
     required: list[np.ndarray] = []
+    told: list[int] = []
     for i in range(lights):
         stem = "light" if i == 0 else f"light{i + 1}"
         u, v = given.get(f"{stem}_x"), given.get(f"{stem}_y")
         if u is not None and v is not None:
             required.append(np.array([u, v]))
+            told.append(i)
         elif lights == 1 and u is not None:
             places = np.stack([np.full(len(places), u), places[:, 1]], -1)
         elif lights == 1 and v is not None:
@@ -209,7 +222,7 @@ def places_for(
         places = np.array(required)
     elif required:
         places = np.concatenate([required, places])
-    return places.astype(np.float32), tuple(range(len(required)))
+    return places.astype(np.float32), tuple(told)
 
 
 def _shapes(given: dict[str, float], samples: int) -> np.ndarray:

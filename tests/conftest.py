@@ -3,8 +3,6 @@ broadcasting between ranks, and with every annotation in godfit checked (jaxtypi
 
 import atexit
 import importlib
-import importlib.util
-import mmap
 import os
 import shutil
 import sys
@@ -12,22 +10,6 @@ import tempfile
 from pathlib import Path
 
 os.environ["MPLBACKEND"] = "Agg"
-# Most of the time goes into compiling, of which XLA's newer emitter of fusions takes nearly twice as
-# much as the older one. A flag that XLA does not know ends the process.
-OLDER = "xla_cpu_use_fusion_emitters"
-
-
-def known_to_xla(flag):
-    spec = importlib.util.find_spec("jaxlib")
-    for file in Path(spec.origin).parent.glob("*.so"):
-        with file.open("rb") as f, mmap.mmap(f.fileno(), 0, access=mmap.ACCESS_READ) as text:
-            if text.find(flag.encode()) >= 0:
-                return True
-    return False
-
-
-if "PYTEST_XDIST_WORKER" not in os.environ and known_to_xla(OLDER):
-    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --{OLDER}=false"
 # All that is run at once shares what is compiled; nothing of an earlier run is trusted.
 os.environ["GODFIT_CACHE"] = (
     os.environ["GODFIT_CACHE"]
@@ -36,13 +18,21 @@ os.environ["GODFIT_CACHE"] = (
 )
 
 import jax
+import jaxlib
 import pytest
 from jaxtyping import install_import_hook
 
 from godfit.cache import keep_compiled
 
+# Most of the time goes into compiling, of which XLA's newer emitter of fusions takes nearly twice
+# as much as the older one. A flag that XLA does not know would end the process.
+OLDER = "xla_cpu_use_fusion_emitters"
+
 if "PYTEST_XDIST_WORKER" not in os.environ:
     atexit.register(shutil.rmtree, os.environ["GODFIT_CACHE"], ignore_errors=True)
+    libraries = Path(jaxlib.__file__).parent.glob("*.so")
+    if any(OLDER.encode() in file.read_bytes() for file in libraries):
+        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --{OLDER}=false"
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 keep_compiled()

@@ -56,8 +56,8 @@ def stages(make):
 
 @pytest.fixture(scope="module")
 def made(make, tmp_path_factory):
-    """All files made again. Masks and pictures of scenes and of canvases, which take long, are those
-    that lie there: that they are what scene and canvas make is tested below, one by one."""
+    """All files made again. Masks and pictures of scenes and of canvases, which take long, are
+    those that lie there: that they are what scene and canvas make is tested below, one by one."""
     folder = tmp_path_factory.mktemp("data_synthetic")
 
     def lying(name):

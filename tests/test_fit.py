@@ -9,6 +9,7 @@ import pytest
 import godfit
 from godfit.image import Image
 from godfit.inference import undetermined
+from godfit.screen import _in_order, places_for
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import scenes
@@ -59,6 +60,21 @@ def test_truth_is_found_from_nothing():
     assert result.noise_levels < 0.02
     assert result.undetermined == ()
     assert result.params["exposure"].stderr is not None
+
+
+@pytest.mark.parametrize("told", [(), (0,), (1,), (0, 2), (0, 1, 2)])
+def test_lights_are_in_order_but_for_those_that_are_given(told):
+    """Those given are where they were given, the others go from left to right."""
+    lattice = np.array([[0.9, 0.2], [0.5, 0.5], [0.1, 0.7]], np.float32)
+    given = {f"light{i + 1 if i else ''}_{c}": 0.3 + 0.1 * i for i in told for c in "xy"}
+    places, found = places_for(lattice, given, 3)
+    assert found == told
+    group = np.arange(len(places))[:3]
+    at = places[_in_order(group, places, found)]
+    for i in told:
+        np.testing.assert_allclose(at[i], 0.3 + 0.1 * i)
+    others = np.delete(at[:, 0], told)
+    assert list(others) == sorted(others)
 
 
 def test_the_same_seed_gives_the_same_answer():
