@@ -35,16 +35,17 @@ NAMES = ("exposure", "decay", "density", "weight", "light_x", "light_y")
 def attempt(seed: int, kind: str, noise: float, made: str = "plain"):
     """One fit: (found, converged, errors over standard errors (6,), seconds, description)."""
     mask, image, truth = scenes.draw(seed, kind, samples=None if made == "plain" else SAMPLES)
-    options = {}
+    scale = None
     if made == "upsampled":
         size = mask.shape[0]
         low = mask.reshape(size // 2, 2, size // 2, 2).mean((1, 3)) / 255
-        image, options = enlarged(scenes.render64(low, truth), size), {"pass_scale": 0.5}
+        image, scale = enlarged(scenes.render64(low, truth), size), 0.5
     target = scenes.to_bytes(image, noise, seed)
     if made == "jpeg":
         target = encoded(target, int(np.random.default_rng([seed, 7]).integers(60, 96)))
     began = time.perf_counter()
-    result = fit(target, mask=mask, shader="dawntime", samples=int(truth["samples"]), **options)
+    samples = int(truth["samples"])
+    result = fit(target, mask=mask, shader="dawntime", samples=samples, pass_scale=scale)
     seconds = time.perf_counter() - began
     if made == "plain":
         # Every number of samples is a program of its own: a hundred of them exhaust what memory
