@@ -24,6 +24,7 @@ from godfit.inference import evidence, undetermined
 from godfit.inputs import Source
 from godfit.models import AbstractModel, Mitchell
 from godfit.observation import Picture
+from godfit.repeated import counted_once
 from godfit.result import FitResult
 from godfit.scene import Scene, read_scene
 from godfit.staged import Staged, place, resized
@@ -293,6 +294,7 @@ def _look(
         settled, at = dips.next_dips(settled, at, model, seen, free, held)
         settled, at = dips.beat_rivals(settled, at, model, picture, seen, free, held, seed)
         settled, at = dips.beat_distant(settled, at, model, picture, seen, free, held, seed)
+    settled, at, seen = counted_once(settled, at, model, seen, free, held)
     at = at.thinned(picture.repeats)
     found = Found(model, picture, seen, settled, at, free, held, opened, inquire)
     if inquire and free.any() and model.banded and restarts.doubtful(found):

@@ -20,6 +20,7 @@ from godfit.errors import InputError
 from godfit.fitting import pixels_used
 from godfit.inference import evidence
 from godfit.likelihood import interval
+from godfit.repeated import relieved
 from godfit.result import FitResult
 from godfit.search import SIGMAS, Settled, Tangent
 from godfit.solver import linearise
@@ -86,6 +87,7 @@ def _posterior(result: FitResult, draws: int, warm_up: int, seed: int) -> Poster
     scale = model.scales(z)
     prediction, jacobian = linearise(z, result.held, scale, model, seen)
     tangent = Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
+    seen = relieved(seen, tangent.prediction, result.noise_levels)
     at = evidence(Settled(z, result.noise_levels, 0.0, True), tangent, seen)
     moving = np.flatnonzero(free)
     covariance = at.covariance(free)[np.ix_(moving, moving)]

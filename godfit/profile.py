@@ -28,6 +28,7 @@ from godfit.fitting import pixels_used
 from godfit.inference import evidence
 from godfit.models import AbstractModel, Vector
 from godfit.observation import Observation
+from godfit.repeated import relieved
 from godfit.result import FitResult
 from godfit.search import Settled, Tangent
 
@@ -149,7 +150,7 @@ class _Line:
     """The best fits with one parameter held."""
 
     def __init__(self, result: FitResult, seen: Observation, index: int) -> None:
-        self.model, self.seen, self.index = result.model, seen, index
+        self.model, self.index = result.model, index
         self.held = result.held
         self.others = result.free & (np.arange(len(result.free)) != index)
         z = np.asarray(result.model.coordinates(), np.float32)
@@ -161,6 +162,7 @@ class _Line:
         z[index] = self.best
         prediction, jacobian = _linearise(z, self.held, index, scale, result.model, seen)
         self.tangent = Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
+        self.seen = seen = relieved(seen, self.tangent.prediction, result.noise_levels)
         self.at = Settled(z, result.noise_levels, -np.inf, True)
         moving = self.others | (np.arange(len(z)) == index)
         covariance = evidence(self.at, self.tangent, seen).covariance(moving)

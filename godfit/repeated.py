@@ -1,0 +1,67 @@
+"""Flat areas: pixels that are alike say one thing, however many they are.
+
+Where rounding is all the noise there is, the likelihood still allows for a trace of more, so that
+it has slopes. Pixels of a flat area all err together, not each on its own: where their value lies
+near the end of its interval, thousands of them would push it away as no single one does, and the
+whole answer with it. Their interval is therefore widened by as much as makes all of them together,
+at its very end, as likely as one.
+"""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from scipy.stats import norm
+
+from godfit.inference import Evidence, evidence
+from godfit.models import AbstractModel
+from godfit.observation import Observation
+from godfit.search import EXPLAINED, Settled, settle
+
+# Levels within which values are alike, and so many of them that it is no chance.
+ALIKE, MANY = 1e-4, 4
+# Standard deviations from the end of an interval beyond which it pushes nobody.
+REACH = 8.0
+ROUNDS = 2
+
+
+def relieved(seen: Observation, prediction: np.ndarray, sigma: float) -> Observation:
+    """``seen`` with wider intervals for values that are repeated near the end of theirs, as
+    ``prediction`` (m,) has them in levels; itself where there are none, or where more noise than
+    rounding is left."""
+    if sigma > EXPLAINED:
+        return seen
+    lo, hi = np.array(seen.lo), np.array(seen.hi)
+    slack = np.minimum(prediction - lo, hi - prediction)
+    # Values that were never rounded have no interval.
+    near = np.flatnonzero((slack < REACH * sigma) & (hi > lo))
+    alike = np.round(prediction[near].astype(np.float64) / ALIKE)
+    _, group, count = np.unique(alike, return_inverse=True, return_counts=True)
+    count = count[group]
+    near, count = near[count >= MANY], count[count >= MANY]
+    if not len(near):
+        return seen
+    wider = sigma * norm.isf(-np.expm1(-np.log(2) / count)).astype(np.float32)
+    lo[near] -= wider
+    hi[near] += wider
+    return eqx.tree_at(lambda s: (s.lo, s.hi), seen, (jnp.asarray(lo), jnp.asarray(hi)))
+
+
+def counted_once(
+    settled: Settled,
+    at: Evidence,
+    model: AbstractModel,
+    seen: Observation,
+    free: np.ndarray,
+    held: np.ndarray,
+) -> tuple[Settled, Evidence, Observation]:
+    """Settled again with flat areas counted once; and the observation that it is then a fit to."""
+    whole = seen
+    for _ in range(ROUNDS):
+        seen = relieved(whole, at.prediction, settled.sigma)
+        if seen is whole:
+            break
+        settled, tangent = settle(settled.coordinates, model, seen, free, held)
+        at = evidence(settled, tangent, seen)
+    return settled, at, seen
