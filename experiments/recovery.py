@@ -97,7 +97,12 @@ def main() -> None:
         )
         print(
             f"  95% intervals cover: {', '.join(covered)}; "
-            f"all {np.mean(np.abs(z[~np.isnan(z)]) < 1.96):.3f}",
+            f"all {np.mean(np.abs(z[~np.isnan(z)]) < 1.96):.3f}"
+        )
+        content = z[[r[1] for r in runs]]
+        print(
+            f"  of the {len(content)} that converged: "
+            f"{np.mean(np.abs(content[~np.isnan(content)]) < 1.96):.3f}",
             flush=True,
         )
     if options.figure:

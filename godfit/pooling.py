@@ -4,7 +4,10 @@ Each frame's answer and its covariance are what is left of its likelihood (Lapla
 is the mean weighted by information, as in any meta-analysis. Frames can be wrong as a whole: a
 frame weighs less the farther off it is (multivariate Student's t: Lange, Little & Taylor, JASA 84
 (1989), 881), and beyond doubt is left out. Where frames scatter by more than they quote, the error
-of the mean is widened by as much (Birge, Phys. Rev. 40 (1932), 207).
+of the mean is widened by as much (Birge, Phys. Rev. 40 (1932), 207); and where the mean moves by
+more than that from leaving one frame out after the other, by as much as this says (the jackknife:
+Tukey, Ann. Math. Stat. 29 (1958), 614). A frame's covariance can claim far too much of some
+combination, which its own single numbers do not show.
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, norm, t
 
 # Degrees of freedom of the t, and the chance of a sound frame to be left out.
 TAILS, CHANCE = 4.0, 1e-3
@@ -56,7 +59,23 @@ def pooled(answers: np.ndarray, informations: np.ndarray) -> Pool:
     told = np.diag(whole) > 0
     covariance = np.diag(np.where(told, 0.0, np.inf))
     covariance[np.ix_(told, told)] = growth * np.linalg.inv(whole[np.ix_(told, told)])
+    size = np.sqrt(np.diag(covariance)[told])
+    moved = _left_out(mean, answers[agrees], informations[agrees])[told]
+    wider = np.maximum(1.0, moved / size)
+    covariance[np.ix_(told, told)] *= np.outer(wider, wider)
     return Pool(mean, covariance, agrees, growth)
+
+
+def _left_out(mean: np.ndarray, answers: np.ndarray, informations: np.ndarray) -> np.ndarray:
+    """(k,) standard errors of the mean by the jackknife, as wide as so few frames ask for; 0 where
+    one frame alone tells."""
+    count = len(answers)
+    if count < 2:
+        return np.zeros(len(mean))
+    kept = ~np.eye(count, dtype=bool)
+    means = np.stack([_mean(answers, informations, k.astype(float), mean) for k in kept])
+    error = np.sqrt((count - 1) / count * ((means - means.mean(0)) ** 2).sum(0))
+    return error * t.ppf(0.975, count - 1) / norm.ppf(0.975)
 
 
 def _distances(mean: np.ndarray, answers: np.ndarray, informations: np.ndarray) -> np.ndarray:

@@ -43,6 +43,8 @@ class Found:
     shifts: tuple[np.ndarray, ...] = ()
     starts_agreed: tuple[int, int] | None = None
     other_transfer: bool = False
+    # Covariance of the coordinates (p, p), where a known cause of what is left was simulated.
+    scatter: np.ndarray | None = None
 
 
 class Spread(NamedTuple):
@@ -61,6 +63,11 @@ def spread(found: Found) -> Spread:
     """How well the coordinates are known, all that is known to be correlated or doubtful counted
     in."""
     left = misfit(found.at.prediction, found.seen)
+    if found.scatter is not None:
+        known = found.at.covariance(found.free)
+        grown = _growth(found.scatter, known, found.free)
+        block = diagnostics.jpeg(found.picture)
+        return Spread(found.scatter, grown, 1.0, [] if block is None else [block], left)
     # The pixels of an upsampled pass share its texels and say no more than these.
     upsampled = float(np.prod(found.picture.size) / np.prod(found.picture.mask.shape[:2]))
     covariance, growth, suspects = _correlated(found, found.at.covariance(found.free), left)
@@ -99,7 +106,7 @@ def verdict(
     rmse = float(np.sqrt(np.mean(error.astype(np.float64) ** 2)))
     # A pass that is upsampled was rounded once before.
     allowed = search.WITHIN_ROUNDING * (2 if errs.upsampled > 1 else 1)
-    trusted = settled.sigma <= allowed or left.like_noise
+    trusted = settled.sigma <= allowed or left.like_noise or found.scatter is not None
     remarks = found.remarks
     if picture.foreign and not found.objection:
         # A person is told, and errors are widened: a model so rough is never all of a picture.
@@ -137,6 +144,12 @@ def verdict(
         starts_agreed=found.starts_agreed,
         inputs=files,
     )
+
+
+def _growth(covariance: np.ndarray, before: np.ndarray, free: np.ndarray) -> float:
+    """By how much variances grew, the geometric mean over coordinates."""
+    ratio = np.diag(covariance)[free] / np.maximum(np.diag(before)[free], 1e-30)
+    return float(np.exp(np.mean(np.log(np.maximum(ratio, 1.0))))) if free.any() else 1.0
 
 
 def _correlated(

@@ -32,8 +32,12 @@ def test_the_mean_is_weighted_by_information():
     )
     assert pool.agrees.all()
     np.testing.assert_allclose(pool.mean, np.linalg.lstsq(design, goal)[0], rtol=1e-8)
+    # Widened by the scatter, and again by the jackknife: never less, and as correlated.
+    covariance = np.linalg.inv(design.T @ design)
+    wider = np.sqrt(np.diag(pool.covariance) / np.diag(covariance) / pool.growth)
+    assert (wider > 1 - 1e-9).all()
     np.testing.assert_allclose(
-        pool.covariance / pool.growth, np.linalg.inv(design.T @ design), rtol=1e-6
+        pool.covariance / pool.growth, covariance * np.outer(wider, wider), rtol=1e-6
     )
 
 
@@ -45,8 +49,9 @@ def test_intervals_cover_and_shrink_with_the_root_of_the_number():
         error = np.sqrt(np.diag(pool.covariance))
         inside.append(np.abs(pool.mean - TRUTH) <= 1.96 * error)
         off.append((pool.mean - TRUTH) / error)
-    assert 0.93 <= np.mean(inside) <= 0.985
-    assert np.std(off) == pytest.approx(1.0, abs=0.12)
+    # The wider of two errors, each of which covers, covers a little more often.
+    assert 0.94 <= np.mean(inside) <= 0.995
+    assert 0.75 <= np.std(off) <= 1.05
 
 
 @pytest.mark.parametrize("wrong", [1, 3])
@@ -64,6 +69,24 @@ def test_errors_are_widened_by_the_scatter():
     answers, informations = frames(np.random.default_rng(3), 12, widen=1.6)
     pool = pooled(answers, informations)
     assert 1.5 < pool.growth < 4
+
+
+def test_combinations_that_frames_claim_to_know_too_well_do_not_fool_the_mean():
+    """Every frame is off by its single errors, and claims to know a combination a hundred times
+    better than it does. Without the jackknife 8% of the intervals hold."""
+    rng = np.random.default_rng(6)
+    inside = []
+    for _ in range(60):
+        answers, informations = frames(rng, 10)
+        for i in range(10):
+            covariance = np.linalg.inv(informations[i])
+            answers[i] = TRUTH + rng.normal(size=3) * np.sqrt(np.diag(covariance))
+            values, vectors = np.linalg.eigh(covariance)
+            values[0] *= 1e-4
+            informations[i] = np.linalg.inv((vectors * values) @ vectors.T)
+        pool = pooled(answers, informations)
+        inside.append(np.abs(pool.mean - TRUTH) <= 1.96 * np.sqrt(np.diag(pool.covariance)))
+    assert np.mean(inside) > 0.7
 
 
 def test_what_no_frame_tells_stays_open():
