@@ -39,7 +39,9 @@ def attempt(seed: int, kind: str, noise: float, made: str = "plain"):
     if made == "upsampled":
         size = mask.shape[0]
         low = mask.reshape(size // 2, 2, size // 2, 2).mean((1, 3)) / 255
-        image, scale = enlarged(scenes.render64(low, truth), size), 0.5
+        # Stored in bytes, as a pass is, before it is read.
+        stored = scenes.to_bytes(scenes.render64(low, truth)) / 255
+        image, scale = enlarged(stored, size), 0.5
     target = scenes.to_bytes(image, noise, seed)
     if made == "jpeg":
         target = encoded(target, int(np.random.default_rng([seed, 7]).integers(60, 96)))

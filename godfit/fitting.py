@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from godfit import dips, inputs, jpeg, restarts, screen, screen_air, search, unaided
+from godfit import dips, indirect, inputs, restarts, screen, screen_air, search, unaided
 from godfit.contested import agreed
 from godfit.errors import InputError
 from godfit.flatland import inputs as plane
@@ -305,7 +305,7 @@ def _look(
                 found, lambda read: _starts(read, model, given, seed), seed
             )
             found = dataclasses.replace(found, other_transfer=other)
-    return jpeg.corrected(_hold_open(found, given)) if inquire else _hold_open(found, given)
+    return indirect.corrected(_hold_open(found, given)) if inquire else _hold_open(found, given)
 
 
 def _starts(

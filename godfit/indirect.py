@@ -1,0 +1,150 @@
+"""What a picture went through after its light was summed, done to the fitted picture as well.
+
+JPEG smooths edges and rounds the cosines of whole blocks (ITU-T T.81); a light pass at lower
+resolution is rounded to bytes before it is enlarged. What they leave is no noise: an estimate made
+as if it were is off in one direction, by many of its errors. But they are known: the fitted
+picture, treated as the target was, and fitted in the same way, is off by as much. That is taken
+away (indirect inference: Gourieroux, Monfort & Renault, J. Appl. Econometrics 8 (1993), S85), and
+pictures of points around scatter as the answer does (parametric bootstrap).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+from scipy import ndimage
+from scipy.stats import norm, t
+
+from godfit.blocks import was_jpeg
+from godfit.image import encode
+from godfit.inference import evidence
+from godfit.jpeg import compressed, settings_of
+from godfit.models import AbstractModel, Mitchell
+from godfit.observation import LEVELS, Picture, render
+from godfit.search import EXPLAINED, WITHIN_ROUNDING, Tangent
+from godfit.solver import linearise, solve_tangent
+from godfit.verdict import Found
+
+# Pictures made for each correction, the first of them of points so far away, in the
+# coordinates' scales.
+DRAWS, FIRST, AWAY = 18, 5, 0.02
+CORRECTIONS = 8
+# Of what those pictures differ among themselves, the most by which the answer's may differ from the
+# target.
+ALIKE = 0.85
+# (h, w, c) levels of a model's picture after all that the target went through.
+Process = Callable[[AbstractModel], np.ndarray]
+
+
+def process_of(picture: Picture, model: AbstractModel, sigma: float) -> Process | None:
+    """What the target went through, where that is known and more than rounding is left."""
+    if picture.half == 0 or sigma <= EXPLAINED:
+        return None
+    if was_jpeg(picture.levels[..., 0]):
+        settings = settings_of(picture.levels) if sigma > WITHIN_ROUNDING else None
+        if settings is None:
+            return None
+        return lambda at: compressed(picture.rendered(at), *settings)
+    if picture.mask.shape[:2] != picture.size and isinstance(model, Mitchell):
+        return lambda at: enlarged_bytes(picture, at)
+    return None
+
+
+def enlarged_bytes(picture: Picture, model: AbstractModel) -> np.ndarray:
+    """(h, w, c) levels, rounded, of a picture whose light pass was stored in bytes and enlarged."""
+    assert isinstance(model, Mitchell)
+    low = np.atleast_3d(render(model, picture.mask, None, picture.mask.shape[:2]))
+    stored = np.floor(low * LEVELS + 0.5) / LEVELS
+    ratio = (*(n / m for n, m in zip(picture.size, low.shape[:2], strict=True)), 1)
+    light = ndimage.zoom(stored, ratio, order=1, mode="nearest", grid_mode=True)
+    background = None if picture.background is None else jnp.asarray(picture.background)
+    image = np.asarray(model.composite(jnp.asarray(light, jnp.float32), background, None))
+    levels = LEVELS * np.asarray(encode(np.clip(image, 0, 1), picture.transfer))
+    return np.floor(np.broadcast_to(levels, picture.levels.shape) + 0.5).astype(np.float32)
+
+
+def corrected(found: Found) -> Found:
+    """The fit with what the target went through taken away, and with the scatter that this causes;
+    as it was where that is not known, or where the fitted picture, treated so, is another than the
+    target."""
+    picture, settled = found.picture, found.settled
+    process = process_of(picture, found.model, settled.sigma)
+    if process is None or not found.free.any():
+        return found
+    bounds = [np.asarray(b, np.float64) for b in found.model.bounds()]
+    first = settled.coordinates.astype(np.float64)
+    z, errors, apart = first, np.zeros((0, len(first))), 0.0
+    for _ in range(CORRECTIONS):
+        estimate, errors, apart = _simulated(found, z, process)
+        before, z = z, np.where(found.free, np.clip(estimate - errors.mean(0), *bounds), first)
+        if np.all(np.abs(z - before) <= errors.std(0)):
+            break
+    else:
+        return found
+    off = _processed_at(found, z, process) - picture.levels
+    if np.sqrt(np.mean(off[picture.valid] ** 2)) > ALIKE * max(apart, 2 * WITHIN_ROUNDING):
+        return found
+    tangent = _tangent(found, z)
+    settled = settled._replace(coordinates=z.astype(np.float32), quiet=True)
+    at = evidence(settled, tangent, found.seen)
+    # So few draws leave their own covariance in doubt, and the mean that was taken away.
+    count = len(errors)
+    wider = (t.ppf(0.975, count - 1) / norm.ppf(0.975)) ** 2 * (1 + 1 / count)
+    scatter = wider * np.atleast_2d(np.cov(errors.T))
+    return dataclasses.replace(found, settled=settled, at=at, scatter=scatter)
+
+
+def _tangent(found: Found, z: np.ndarray) -> Tangent:
+    at = z.astype(np.float32)
+    scale = found.model.scales(at)
+    prediction, jacobian = linearise(at, found.held, scale, found.model, found.seen)
+    return Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
+
+
+def _processed_at(found: Found, z: np.ndarray, process: Process) -> np.ndarray:
+    """(h, w, c) the picture of coordinates ``z`` after the process; the target's where that is
+    ignored."""
+    picture = found.picture
+    model = found.model.moved(jnp.asarray(z, jnp.float32), jnp.asarray(found.held, jnp.float32))
+    return np.where(picture.valid[..., None], process(model), picture.levels)
+
+
+def _simulated(
+    found: Found, z: np.ndarray, process: Process
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """(p,) the estimate from the target on the tangent at ``z``, (draws, p) by how much such
+    estimates from processed pictures of points around ``z`` are off, and the root mean square
+    (levels) by which two such pictures differ but for what their points make them."""
+    tangent, free = _tangent(found, z), np.flatnonzero(found.free)
+    rng = np.random.default_rng(0)
+    errors: list[np.ndarray] = []
+    left: list[np.ndarray] = []
+    pixels = np.asarray(found.seen.pixels)
+    centre = z.astype(np.float32)
+
+    def estimate(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
+        return solve_tangent(
+            centre, found.free, found.model, tangent.scale, tangent.prediction, tangent.jacobian,
+            lo, hi, found.settled.sigma, found.seen.foreign,
+        ).coordinates  # fmt: skip
+
+    for draw in range(DRAWS):
+        step = np.zeros(len(z))
+        if draw < FIRST:
+            step[free] = AWAY * rng.standard_normal(len(free))
+        else:
+            block = np.atleast_2d(np.cov(np.array(errors)[:, free].T))
+            step[free] = rng.multivariate_normal(np.zeros(len(free)), block, check_valid="ignore")
+        there = np.clip(z + step * tangent.scale, *found.model.bounds())
+        levels = _processed_at(found, there, process).reshape(-1, found.picture.channels)[pixels]
+        lo, hi = (levels - 0.5).ravel(), (levels + 0.5).ravel()
+        lo, hi = np.where(lo < 0, -np.inf, lo), np.where(hi > LEVELS, np.inf, hi)
+        end = estimate(lo.astype(np.float32), hi.astype(np.float32))
+        errors.append((end - there) / tangent.scale)
+        left.append(levels.ravel() - tangent.moved(there - z))
+    spread = float(np.sqrt(np.mean((np.array(left) - np.mean(left, 0)) ** 2) * DRAWS / (DRAWS - 1)))
+    own = estimate(np.asarray(found.seen.lo), np.asarray(found.seen.hi))
+    return own.astype(np.float64), np.array(errors) * tangent.scale, np.sqrt(2) * spread
