@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+# Of what only the likelihood knows, for a fit whose errors come from elsewhere.
+SIMULATED = (
+    "{}: expected a target that the likelihood alone explains, got one that was compressed or "
+    "whose light pass was stored smaller; the errors quoted already allow for that"
+)
+
 
 class InputError(ValueError):
     """One line that says what was expected, what was got and what to do."""

@@ -31,6 +31,10 @@ from godfit.verdict import Found
 # Pictures made for each correction, the first of them of points so far away, in the
 # coordinates' scales.
 DRAWS, FIRST, AWAY = 18, 5, 0.02
+# Values, most, that estimates are made from.
+VALUES = 1 << 18
+# Of what is 8-bit, half the distance between two levels.
+HALF = 0.5
 CORRECTIONS = 8
 # Of what those pictures differ among themselves, the most by which the answer's may differ from the
 # target.
@@ -41,7 +45,7 @@ Process = Callable[[AbstractModel], np.ndarray]
 
 def process_of(picture: Picture, model: AbstractModel, sigma: float) -> Process | None:
     """What the target went through, where that is known and more than rounding is left."""
-    if picture.half == 0 or sigma <= EXPLAINED:
+    if not np.isclose(picture.half, HALF) or sigma <= EXPLAINED:
         return None
     if was_jpeg(picture.levels[..., 0]):
         settings = settings_of(picture.levels) if sigma > WITHIN_ROUNDING else None
@@ -122,7 +126,11 @@ def _simulated(
     rng = np.random.default_rng(0)
     errors: list[np.ndarray] = []
     left: list[np.ndarray] = []
-    pixels = np.asarray(found.seen.pixels)
+    pixels, channels = np.asarray(found.seen.pixels), found.picture.channels
+    rows = np.arange(len(tangent.prediction))
+    if len(rows) > VALUES:
+        rows = np.sort(rng.choice(len(rows), VALUES, replace=False))
+    tangent = Tangent(tangent.prediction[rows], tangent.jacobian[:, rows], tangent.scale)
     centre = z.astype(np.float32)
 
     def estimate(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
@@ -139,12 +147,12 @@ def _simulated(
             block = np.atleast_2d(np.cov(np.array(errors)[:, free].T))
             step[free] = rng.multivariate_normal(np.zeros(len(free)), block, check_valid="ignore")
         there = np.clip(z + step * tangent.scale, *found.model.bounds())
-        levels = _processed_at(found, there, process).reshape(-1, found.picture.channels)[pixels]
-        lo, hi = (levels - 0.5).ravel(), (levels + 0.5).ravel()
+        levels = _processed_at(found, there, process).reshape(-1, channels)[pixels].ravel()[rows]
+        lo, hi = levels - HALF, levels + HALF
         lo, hi = np.where(lo < 0, -np.inf, lo), np.where(hi > LEVELS, np.inf, hi)
         end = estimate(lo.astype(np.float32), hi.astype(np.float32))
         errors.append((end - there) / tangent.scale)
-        left.append(levels.ravel() - tangent.moved(there - z))
+        left.append(levels - tangent.moved(there - z))
     spread = float(np.sqrt(np.mean((np.array(left) - np.mean(left, 0)) ** 2) * DRAWS / (DRAWS - 1)))
-    own = estimate(np.asarray(found.seen.lo), np.asarray(found.seen.hi))
+    own = estimate(np.asarray(found.seen.lo)[rows], np.asarray(found.seen.hi)[rows])
     return own.astype(np.float64), np.array(errors) * tangent.scale, np.sqrt(2) * spread

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from godfit.errors import InputError
+from godfit.errors import SIMULATED, InputError
 from godfit.fitting import pixels_used
 from godfit.inference import evidence
 from godfit.likelihood import interval
@@ -74,6 +74,8 @@ def posterior(
     require()
     if result.picture.foreign:
         raise InputError("posterior: expected a fit with a mask or a scene, got neither; give one")
+    if result.simulated:
+        raise InputError(SIMULATED.format("posterior"))
     if not result.converged:
         raise InputError(f"posterior: expected a fit that converged, got: {result.message}")
     with jax.enable_x64(False), jax.numpy_rank_promotion("allow"):

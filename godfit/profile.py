@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from godfit import search
-from godfit.errors import InputError
+from godfit.errors import SIMULATED, InputError
 from godfit.fitting import pixels_used
 from godfit.inference import evidence
 from godfit.models import AbstractModel, Vector
@@ -58,6 +58,8 @@ def check(result: FitResult, name: str) -> None:
     """Raise InputError for a parameter that has no interval."""
     if result.picture.foreign:
         raise InputError("profile: expected a fit with a mask or a scene, got neither; give one")
+    if result.simulated:
+        raise InputError(SIMULATED.format("profile"))
     if name not in result.params:
         raise InputError(f"profile: expected one of {', '.join(result.params)}, got '{name}'")
     if result.params[name].fixed:

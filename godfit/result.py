@@ -45,7 +45,8 @@ class FitResult:
     their errors are correlated. ``starts_agreed`` is (agreeing, tried) where other starts were
     tried. ``noise_levels`` is the standard deviation of the noise
     before rounding; ``residual_correlation`` is that of neighbouring residuals, near 0 for noise,
-    ``residual_tails`` their kurtosis, near 3 for Gaussian noise.
+    ``residual_tails`` their kurtosis, near 3 for Gaussian noise. ``simulated``: values and errors
+    allow for what the target went through, see ``indirect.py``, which the likelihood does not.
     """
 
     converged: bool
@@ -74,6 +75,7 @@ class FitResult:
     held: np.ndarray
     seed: int = 0
     starts_agreed: tuple[int, int] | None = None
+    simulated: bool = False
     inputs: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
 
     @functools.cached_property

@@ -142,6 +142,7 @@ def verdict(
         held=told.held,
         seed=seed,
         starts_agreed=found.starts_agreed,
+        simulated=found.scatter is not None,
         inputs=files,
     )
 

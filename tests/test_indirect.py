@@ -8,7 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import godfit
 from godfit.jpeg import compressed
+from godfit.posterior import posterior
+from godfit.profile import profile
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import scenes
@@ -38,6 +41,10 @@ def test_the_answer_is_freed_of_what_the_target_went_through(made, scale):
     assert result.converged, result.message
     assert any("JPEG" in w for w in result.warnings) == (made is as_jpeg)
     assert result.pixels_effective < 0.5 * result.pixels
+    assert result.simulated
+    for ask in (lambda: profile(result, "density"), lambda: posterior(result)):
+        with pytest.raises(godfit.InputError, match="that the likelihood alone explains"):
+            ask()
     # Without asking what may be wrong, the same as if what is left were noise.
     naive = stability.fit(target, mask, pass_scale=scale, inquire=False)
     off, before = (
