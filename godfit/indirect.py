@@ -28,9 +28,9 @@ from godfit.search import EXPLAINED, WITHIN_ROUNDING, Tangent
 from godfit.solver import linearise, solve_tangent
 from godfit.verdict import Found
 
-# Pictures made for each correction, the first of them of points so far away, in the
-# coordinates' scales.
-DRAWS, FIRST, AWAY = 18, 5, 0.02
+# Pictures made for each correction, the first of them of points so far away, in the coordinates'
+# scales and as a share of the picture: beyond a pixel or so a tangent says nothing.
+DRAWS, FIRST, AWAY, PART = 18, 5, 0.02, 5.0
 # Values, most, that estimates are made from.
 VALUES = 1 << 18
 # Of what is 8-bit, half the distance between two levels.
@@ -132,6 +132,7 @@ def _simulated(
         rows = np.sort(rng.choice(len(rows), VALUES, replace=False))
     tangent = Tangent(tangent.prediction[rows], tangent.jacobian[:, rows], tangent.scale)
     centre = z.astype(np.float32)
+    away = min(AWAY, PART / max(found.picture.size))
 
     def estimate(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
         return solve_tangent(
@@ -142,7 +143,7 @@ def _simulated(
     for draw in range(DRAWS):
         step = np.zeros(len(z))
         if draw < FIRST:
-            step[free] = AWAY * rng.standard_normal(len(free))
+            step[free] = away * rng.standard_normal(len(free))
         else:
             block = np.atleast_2d(np.cov(np.array(errors)[:, free].T))
             step[free] = rng.multivariate_normal(np.zeros(len(free)), block, check_valid="ignore")
