@@ -102,7 +102,8 @@ def fit(
     - `transfer`: `"none"` or `"srgb"`, how the target (and the background) were encoded.
     - `channels`: 3 counts every channel of a grey picture, which costs time and adds no knowledge,
       but makes likelihoods comparable with those of models that are never grey.
-    - `inquire`: where more than noise is left, whether to try other starts and ask what may be
+    - `inquire`: where more than noise is left, whether to try other starts, to undo what the target
+      went through (a JPEG's compression, a light pass stored smaller) and to ask what may be
       wrong. Fits that are only compared with each other can do without.
     - `seed`: of the choice of pixels.
     - `progress`: is called with a line of text as the fit goes on.

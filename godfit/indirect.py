@@ -24,7 +24,7 @@ from godfit.inference import evidence
 from godfit.jpeg import compressed, settings_of
 from godfit.models import AbstractModel, Mitchell
 from godfit.observation import LEVELS, Picture, render
-from godfit.search import EXPLAINED, WITHIN_ROUNDING, Tangent
+from godfit.search import EXPLAINED, WITHIN_ROUNDING, Settled, Tangent, log_likelihood_at
 from godfit.solver import linearise, solve_tangent
 from godfit.verdict import Found
 
@@ -92,7 +92,8 @@ def corrected(found: Found) -> Found:
     if np.sqrt(np.mean(off[picture.valid] ** 2)) > ALIKE * max(apart, 2 * WITHIN_ROUNDING):
         return found
     tangent = _tangent(found, z)
-    settled = settled._replace(coordinates=z.astype(np.float32), quiet=True)
+    likelihood = log_likelihood_at(tangent.prediction, found.seen, settled.sigma)
+    settled = Settled(z.astype(np.float32), settled.sigma, likelihood, quiet=True)
     at = evidence(settled, tangent, found.seen)
     # So few draws leave their own covariance in doubt, and the mean that was taken away.
     count = len(errors)

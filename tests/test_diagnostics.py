@@ -20,6 +20,8 @@ import scenes
 def test_a_defect_is_named(kind):
     result = diagnostics.warned(kind, 1, 96)
     assert any(diagnostics.SAYS[kind] in w for w in result.warnings), result.warnings
+    # Only where the same compression of the fitted picture explains what is left.
+    assert result.converged == result.simulated
 
 
 @pytest.mark.parametrize("seed", [1])

@@ -83,12 +83,12 @@ def test_the_same_seed_gives_the_same_answer():
     assert first.params == second.params
 
 
-@pytest.mark.parametrize(("noise", "fits", "least"), [(0.0, 8, 39), (1.0, 6, 28)])
-def test_quoted_errors_cover(noise, fits, least):
-    """A small run of experiments/recovery.py: of 48 (36) intervals of two standard errors, 95% hold
-    on average; fewer than 39 (28) happen by chance less than once in 1,000 runs."""
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_quoted_errors_cover(noise):
+    """A small run of experiments/recovery.py: of 48 intervals of two standard errors, 95% hold on
+    average; fewer than 39 happen by chance less than once in 1,000 runs."""
     inside, largest = 0, 0.0
-    for seed in range(fits):
+    for seed in range(8):
         result = fit(*picture(seed, noise))
         assert result.converged, (seed, result.message)
         for name, off in errors(result).items():
@@ -96,7 +96,7 @@ def test_quoted_errors_cover(noise, fits, least):
             assert stderr is not None
             inside += off < 2 * stderr
             largest = max(largest, off / stderr)
-    assert inside >= least
+    assert inside >= 39
     assert largest < 6
     assert result.noise_levels == pytest.approx(noise, abs=0.05)
 

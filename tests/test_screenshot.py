@@ -186,8 +186,7 @@ def test_an_occluder_that_is_given_stands_in_the_way(screen):
     assert not reading.unknown[drawn].any()
 
 
-def test_light_explains_rays_and_nothing_else(screen, monkeypatch):
-    monkeypatch.setattr(screenshot, "STARTS", 1)
+def test_light_explains_rays_and_nothing_else(screen):
     screen, result = screen
     rng = np.random.default_rng(3)
     cells = np.kron(rng.integers(20, 180, (9, 16)), np.ones((10, 10)))
