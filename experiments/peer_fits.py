@@ -8,6 +8,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
+from unittest import mock
 
 import equinox as eqx
 import jax
@@ -17,7 +18,8 @@ import numpy as np
 import optimistix as optx
 from scipy import ndimage, optimize
 
-from godfit import Mitchell, fit
+from godfit import Mitchell, fit, search
+from godfit.solver import linearise
 
 NAMES = ("exposure", "decay", "density", "weight", "light_x", "light_y")
 TRUTH = np.array([0.02, 0.985, 0.85, 0.7, 0.56, 0.6])
@@ -302,23 +304,40 @@ def torch_adam(problem: Problem) -> Solve:
     return torch_descent(problem, torch.optim.Adam, lr=0.05, betas=(0.9, 0.99))
 
 
-def godfit_fit(problem: Problem, start: dict[str, float] | None) -> Solve:
+def godfit_fit(problem: Problem, start: dict[str, float] | None, *, whole: bool) -> Solve:
+    """``whole``: to its own end, errors and warnings included, the watch shown the answer. Else the
+    watch is shown every point at which the fit renders, as with the others."""
     mask = np.floor(problem.mask * 255 + 0.5).astype(np.uint8)
 
-    def solve(watch=None):
-        result = fit(
+    def answer():
+        return fit(
             problem.target, mask=mask, shader="dawntime", samples=problem.samples, start=start
         )
-        if watch is not None:
-            watch([result.params[name].value for name in NAMES])
 
-    solve()
+    def solve(watch: Watch):
+        if whole:
+            result = answer()
+            watch([result.params[name].value for name in NAMES])
+            return
+
+        def shown(z, held, scale, model, seen):
+            values = model.moved(jnp.asarray(z), jnp.asarray(held)).values()
+            watch([float(values[name]) for name in NAMES])
+            return linearise(z, held, scale, model, seen)
+
+        with mock.patch.object(search, "linearise", shown):
+            answer()
+
+    answer()
     return solve
 
 
 PEERS: dict[str, Callable[[Problem], Solve]] = {
-    "godfit": lambda problem: godfit_fit(problem, dict(zip(NAMES, START, strict=True))),
-    "godfit, no start": lambda problem: godfit_fit(problem, None),
+    "godfit": lambda problem: godfit_fit(
+        problem, dict(zip(NAMES, START.tolist(), strict=True)), whole=False
+    ),
+    "godfit, no start": lambda problem: godfit_fit(problem, None, whole=False),
+    "godfit, no start, with errors": lambda problem: godfit_fit(problem, None, whole=True),
     "scipy, strips and their Jacobian": scipy_strips,
     "scipy, numba": scipy_numba,
     "optimistix, jacfwd of the naive sum": optimistix_naive,

@@ -5,9 +5,10 @@
 
 512x512 bytes, 150 samples, a hard mask, dawntime. Every peer has the same target, the same start
 (10 to 20% off, the light .03) and every core, and stops at the first point that it asks for whose
-error is under the tolerance. godfit is not told the truth and is timed to its own end, with the
-errors that it quotes. The error is the rms of what the six parameters are off: of exposure,
-density, weight and 1 - decay in shares of the true value, of the light in shares of the image.
+error is under the tolerance. So does godfit, once from that start and once from none; it is also
+timed to its own end, with the errors that it quotes. The error is the rms of what the six
+parameters are off: of exposure, density, weight and 1 - decay in shares of the true value, of the
+light in shares of the image.
 
 Times are without imports, compilation and what depends on the picture's size alone; runs are
 interleaved and medians printed. A peer that has not arrived when its budget is spent, or that gives

@@ -49,6 +49,8 @@ WORDS = {
     "--transfer none",
     "register": "what is left follows the picture's edges as if mask and target were shifted "
     "against each other; check that both come from the same frame and size",
+    "moved": "mask and target are shifted against each other: with the mask moved {right} pixels "
+    "to the right and {down} down far more is explained; check that both come from the same frame",
     "upsampled": "the target is smoother at edges than the mask allows: its light pass was likely "
     "rendered at {scale} of the size; try --pass-scale {scale}",
     "convention": "what is left looks like {what}: another shader's convention; see `godfit "

@@ -300,12 +300,9 @@ def _look(
     found = Found(model, picture, seen, settled, at, free, held, opened, inquire)
     if inquire and free.any() and model.banded and restarts.doubtful(found):
         found = restarts.again(found, begun[:AGAIN], seed, say)
-        if found.settled.sigma > dips.HOPELESS:
-            say("another transfer")
-            other = restarts.other_transfer(
-                found, lambda read: _starts(read, model, given, seed), seed
-            )
-            found = dataclasses.replace(found, other_transfer=other)
+        say("mask or transfer read otherwise")
+        remedy = restarts.remedy(found, lambda read: _starts(read, model, given, seed), seed)
+        found = dataclasses.replace(found, remedy=remedy)
     return indirect.corrected(_hold_open(found, given)) if inquire else _hold_open(found, given)
 
 

@@ -42,7 +42,8 @@ class Found:
     # Of the coordinates (p,), where what was taken as known is a little different.
     shifts: tuple[np.ndarray, ...] = ()
     starts_agreed: tuple[int, int] | None = None
-    other_transfer: bool = False
+    # What another reading of the images, which explains far more, says was wrong.
+    remedy: diagnostics.Suspect | None = None
     # Covariance of the coordinates (p, p), where a known cause of what is left was simulated.
     scatter: np.ndarray | None = None
 
@@ -173,10 +174,9 @@ def _correlated(
     model = found.model.moved(jnp.asarray(settled.coordinates), jnp.asarray(found.held))
     if found.inquire and (not left.like_noise or settled.sigma > 1):
         pixels = np.asarray(seen.pixels)
+        if found.remedy is not None:
+            return covariance, growth, [*suspects, found.remedy]
         likely = diagnostics.diagnose(found.picture, model, pixels, tangent)
-        if found.other_transfer:
-            words = diagnostics.WORDS["transfer"]
-            likely = [diagnostics.Suspect(1.0, "transfer", words)]
         suspects += diagnostics.named(likely)
     return covariance, growth, suspects
 

@@ -9,6 +9,7 @@ import pytest
 
 from godfit.blocks import was_jpeg
 from godfit.diagnostics import Span, Suspect, named
+from godfit.restarts import edges_agree
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import diagnostics
@@ -16,7 +17,7 @@ import scenes
 
 
 # The others in experiments/diagnostics.py: each asks for minutes of compiling.
-@pytest.mark.parametrize("kind", ["jpeg"])
+@pytest.mark.parametrize("kind", ["jpeg", "register"])
 def test_a_defect_is_named(kind):
     result = diagnostics.warned(kind, 1, 96)
     assert any(diagnostics.SAYS[kind] in w for w in result.warnings), result.warnings
@@ -31,6 +32,14 @@ def test_clean_targets_get_no_warning_and_keep_their_errors(seed):
     assert result.warnings == ()
     assert result.pixels_effective == result.pixels
     assert result.starts_agreed is None
+
+
+def test_the_shift_of_a_mask_is_seen_at_its_edges():
+    mask, truth, rng = diagnostics.truth_and_mask(2, 96)
+    target = scenes.render64(mask / 255, truth) + 0.005 * rng.standard_normal(mask.shape)
+    for by in ((0, 0), (3, -2), (-4, 5)):
+        moved = np.roll(mask, by, (0, 1)).astype(np.float64)
+        assert edges_agree(target, moved) == (-by[0], -by[1])
 
 
 def test_every_seed_gives_a_defect_that_is_there():
