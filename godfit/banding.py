@@ -16,10 +16,11 @@ import numpy as np
 
 from godfit.models import Mitchell
 from godfit.observation import LEVELS, Picture, grey
-from godfit.ray_sums import ray_sums
+from godfit.radial.compiled import scattered
+from godfit.side_by_side import cores, side_by_side
 from godfit.simplify import resampled
 
-FEW, MORE, KEEP = 192, 4096, 12
+FEW, MORE, KEEP = 128, 4096, 12
 LEAST, MOST = 8, 320
 # Densities that are tried for a number, in distances between two taps.
 OFFSETS = np.linspace(-1, 1, 9)
@@ -47,26 +48,35 @@ class _Scan:
         pixels = pixels[~picture.clipped.reshape(-1)[pixels]]
         h, w = picture.size
         low = picture.mask.shape
-        self.mask = np.ascontiguousarray(grey(picture.mask), np.float64)
-        self.x = (pixels % w + 0.5) * low[1] / w - 0.5
-        self.y = (pixels // w + 0.5) * low[0] / h - 0.5
+        # Its border twice, as the compiled sum has it.
+        mask = np.pad(grey(picture.mask), ((1, 1), (1, 2)), mode="edge")
+        self.mask = np.ascontiguousarray(mask, np.float32)
+        self.size = low
+        x = (pixels % w + 0.5) * low[1] / w - 0.5
+        y = (pixels // w + 0.5) * low[0] / h - 0.5
+        self.at = np.stack([x, y]).astype(np.float32)
         levels = picture.levels.reshape(-1, picture.channels)[pixels].mean(-1)
         self.target = levels.astype(np.float64) / LEVELS
-        self.size = low
         # The pixel's own value: the sum with one tap at no distance.
-        self.own = np.empty(len(self.x))
-        ray_sums(self.mask, self.x, self.y, 0.0, 0.0, 1.0, 0.0, 1, self.own)
+        self.own = self._rays(1.0, 0.0, 1)
 
-    def cost(self, taps: Spacing) -> float:
-        """Sum of squares left, exposure and gain free."""
+    def _rays(self, ratio: float, step: float, count: int) -> np.ndarray:
         h, w = self.size[:2]
         u, v = self.light
-        rays = np.empty(len(self.x))
+        numbers = np.array([u * w - 0.5, (1 - v) * h - 0.5, ratio, step, 0.0])
+        out = np.empty((1, 1, self.at.shape[1]), np.float32)
+        scattered(self.mask, self.at, numbers, count, out)
+        return out[0, 0].astype(np.float64)
+
+    def costs(self, tried: list[Spacing]) -> np.ndarray:
+        """(n,) sums of squares left, exposure and gain free."""
+        parts = np.array_split(np.arange(len(tried)), min(len(tried), 4 * cores()))
+        found = side_by_side(lambda part: [self._cost(tried[i]) for i in part], parts)
+        return np.array([cost for part in found for cost in part])
+
+    def _cost(self, taps: Spacing) -> float:
         ratio = math.exp(-self.kappa * taps.step)
-        ray_sums(
-            self.mask, self.x, self.y, u * w - 0.5, (1 - v) * h - 0.5, ratio, taps.step,
-            taps.samples - self.drop, rays,
-        )  # fmt: skip
+        rays = self._rays(ratio, taps.step, taps.samples - self.drop)
         columns = np.stack([self.own, rays] if self.shows_own else [rays])
         gram = columns @ columns.T
         gram += 1e-12 * np.trace(gram) * np.eye(len(columns))
@@ -83,12 +93,13 @@ def other_samples(model: Mitchell, picture: Picture, seed: int = 0) -> Mitchell 
         return None
     few, more = _Scan(model, picture, FEW, seed), _Scan(model, picture, MORE, seed)
     tried = [taps for n in range(LEAST, MOST + 1) for taps in _about(model, n)]
-    tried.sort(key=few.cost)
-    own = min(more.cost(taps) for taps in _about(model, model.samples))
-    best = min(tried[:KEEP], key=more.cost)
+    kept = [tried[i] for i in np.argsort(few.costs(tried), kind="stable")[:KEEP]]
+    own = more.costs(_about(model, model.samples)).min()
+    left = more.costs(kept)
+    best, least = kept[int(left.argmin())], left.min()
     # Rounding is noise as well.
-    floor = len(more.x) / 12 / LEVELS**2
-    gain = 0.5 * len(more.x) * math.log(max(own, floor) / max(more.cost(best), floor))
+    floor = len(more.target) / 12 / LEVELS**2
+    gain = 0.5 * len(more.target) * math.log(max(own, floor) / max(least, floor))
     if gain < WORTH or best.samples == model.samples:
         return None
     other = resampled(model, best.samples)

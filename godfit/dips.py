@@ -29,13 +29,16 @@ from godfit.search import (
     Settled,
     settle,
 )
-from godfit.solver import solve
+from godfit.side_by_side import side_by_side
+from godfit.solver import Point, solve
 
 CORRECTIONS = 3
 # A dip of density is about 1/samples wide.
-FAR_VALUES = 400
+FAR_VALUES, NEAR_VALUES = 400, 120
+# Ends of solves, apart and cheapest first, that are worth a noise of their own.
+SETTLED = 4
 # Pixels that are enough to see where the dips are.
-SCAN_PIXELS = 1 << 10
+SCAN_PIXELS = 1 << 9
 # Dips either way that are looked into on more pixels, and how many of them are tried.
 RIVAL_PIXELS, RIVAL_DIPS, RIVALS = 1 << 14, 6, 2
 # Log-likelihood on the subset by which a point may fall behind and still be tried on all pixels.
@@ -159,7 +162,8 @@ def beat_rivals(
         if _hopeless(settled, at, seen):
             break
         before = settled.log_likelihood
-        for z in rivals(settled, along, dip, model, picture, free, held, seed):
+        count = min(RIVAL_PIXELS, len(seen.pixels) // 4)
+        for z in rivals(settled, along, dip, model, picture, free, held, seed, count):
             other, tangent = settle(z, model, seen, free, held)
             if other.log_likelihood > settled.log_likelihood:
                 settled, at = other, evidence(other, tangent, seen)
@@ -211,26 +215,31 @@ def rivals(
     free: np.ndarray,
     held: np.ndarray,
     seed: int,
+    count: int,
 ) -> list[np.ndarray]:
-    """Coordinates in the deepest dips of ``along`` near ``start`` but for its own, seen by more
-    pixels: where noise hides the bands, a few thousand pixels cannot tell one dip from another."""
-    pixels = picture.informative(RIVAL_PIXELS, seed)
+    """Coordinates in the deepest dips of ``along`` near ``start`` but for its own, on ``count``
+    pixels: where noise hides the bands, a few thousand cannot tell one dip from another."""
+    pixels = picture.informative(count, seed)
     seen = picture.observe(pixels)
     smooth = picture.observe(pixels, LADDER[1][0] * max(picture.size))
     lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
     at = start.coordinates
     switch = free.astype(np.float32)
     follow = np.asarray(_valley(jnp.asarray(at), switch, held, along, model, smooth))
-    away = dip * np.linspace(-RIVAL_DIPS, RIVAL_DIPS, 10 * RIVAL_DIPS + 1)
+    away = dip * np.linspace(-RIVAL_DIPS, RIVAL_DIPS, 10 * RIVAL_DIPS)
     line = np.clip(at + np.outer(away, follow), lower, upper)
     sigma = jnp.float32(start.sigma)
-    costs = np.asarray(_costs(jnp.asarray(line, jnp.float32), held, model, seen, sigma))
+    halves = side_by_side(
+        lambda part: np.asarray(_costs(jnp.asarray(part), held, model, seen, sigma)),
+        np.array_split(line.astype(np.float32), 2),
+    )
+    costs = np.concatenate(halves)
     costs = np.where(np.isfinite(costs) & (np.abs(away) > dip / 2), costs, np.inf)
     around = np.pad(costs, 1, constant_values=np.inf)
     dips = np.flatnonzero(np.isfinite(costs) & (costs <= around[:-2]) & (costs <= around[2:]))
     best = dips[np.argsort(costs[dips])][:RIVALS]
     begun = line[best].astype(np.float32)
-    return [solve(z, free, held, model, seen, start.sigma).coordinates for z in begun]
+    return side_by_side(lambda z: solve(z, free, held, model, seen, start.sigma).coordinates, begun)
 
 
 def correct(
@@ -355,7 +364,7 @@ def reseed(
     held: np.ndarray,
     seed: int,
     *,
-    tries: int = 6,
+    tries: int = 8,
     count: int = PIXELS,
 ) -> list[Settled]:
     """Walk along the valley of coordinate ``along`` and settle anew in its deepest dips; the best
@@ -367,10 +376,9 @@ def reseed(
     lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
     at = start.coordinates
     here = at[along]
-    near = here * (1 + np.linspace(-0.06, 0.06, 121))
-    far = np.linspace(max(lower[along], 0.05), upper[along], FAR_VALUES)
-    values = np.sort(np.concatenate([near, far]))
-    values = values[(values >= lower[along]) & (values <= upper[along])]
+    least, most = max(lower[along], 0.05), upper[along]
+    near = np.linspace(max(0.94 * here, least), min(1.06 * here, most), NEAR_VALUES)
+    values = np.sort(np.concatenate([near, np.linspace(least, most, FAR_VALUES)]))
     # Two lines through the start: one where all other coordinates follow along the valley's floor,
     # one where those that the image is linear in are solved for at every place, for a start that is
     # right but for this.
@@ -384,17 +392,31 @@ def reseed(
     # As sharp as the start is good: a blunter likelihood cannot tell the dips apart, a sharper one
     # sees nothing of those whose bottom lies a little beside the line.
     sigma = float(np.clip(start.sigma, 0.02, 0.3))
-    begun: list[np.ndarray] = []
-    for line in lines:
-        costs = np.asarray(
-            _costs(jnp.asarray(line, jnp.float32), held, model, scanned, jnp.float32(sigma))
-        )
+
+    def bottoms(line: np.ndarray) -> list[Point]:
+        points = line.astype(np.float32)
+        costs = np.asarray(_costs(jnp.asarray(points), held, model, scanned, jnp.float32(sigma)))
         costs = np.where(np.isfinite(costs), costs, np.inf)
         around = np.pad(costs, 1, constant_values=np.inf)
         dips = np.flatnonzero((costs <= around[:-2]) & (costs <= around[2:]))
-        begun += list(line[dips[np.argsort(costs[dips])][:tries]].astype(np.float32))
-    found = [start]
-    for z in begun:
-        point = solve(z, free, held, model, seen, sigma)
-        found.append(settle(point.coordinates, model, seen, free, held)[0])
-    return sorted(found, key=lambda s: -s.log_likelihood)
+        return [Point(points[i], float(costs[i]), False, 0) for i in dips]
+
+    dip = float(here) / model.samples
+    begun = _apart([p for line in side_by_side(bottoms, lines) for p in line], along, dip / 4)
+    points = side_by_side(
+        lambda p: solve(p.coordinates, free, held, model, seen, sigma), begun[:tries]
+    )
+    points = _apart(points, along, dip / 20)
+    found = side_by_side(
+        lambda p: settle(p.coordinates, model, seen, free, held)[0], points[:SETTLED]
+    )
+    return sorted([start, *found], key=lambda s: -s.log_likelihood)
+
+
+def _apart(points: list[Point], along: int, near: float) -> list[Point]:
+    """Points, cheapest first, none of them within ``near`` of a cheaper one in ``along``."""
+    kept: list[Point] = []
+    for p in sorted(points, key=lambda p: p.cost):
+        if all(abs(p.coordinates[along] - k.coordinates[along]) > near for k in kept):
+            kept.append(p)
+    return kept

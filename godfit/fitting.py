@@ -63,6 +63,7 @@ def fit(
     transfer: str = "none",
     channels: int | None = None,
     inquire: bool = True,
+    max_values: int = MAX_VALUES,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> FitResult:
@@ -105,6 +106,8 @@ def fit(
     - `inquire`: where more than noise is left, whether to try other starts, to undo what the target
       went through (a JPEG's compression, a light pass stored smaller) and to ask what may be
       wrong. Fits that are only compared with each other can do without.
+    - `max_values`: the most pixels, times channels, that decide; of larger pictures, rows drawn at
+      random.
     - `seed`: of the choice of pixels.
     - `progress`: is called with a line of text as the fit goes on.
 
@@ -132,7 +135,7 @@ def fit(
             return _fit(
                 target, mask, background, occluder, scene, (canvas, rays), model, tuple(free),
                 settings, lights, (fov, distance), fix or {}, start or {}, valid, transfer,
-                channels, inquire, seed, progress or (lambda text: None),
+                channels, inquire, max_values, seed, progress or (lambda text: None),
             )  # fmt: skip
         except jax.errors.JaxRuntimeError as error:
             raise InputError.within(error) or error from error
@@ -171,6 +174,7 @@ def _fit(
     transfer: str,
     channels: int | None,
     inquire: bool,
+    most: int,
     seed: int,
     say: Say,
 ) -> FitResult:
@@ -242,7 +246,7 @@ def _fit(
         say("edge pixels")
         begun = _starts(picture, model, given, seed)
         picture = agreed(picture, scene, model, begun, free, held, seed)
-    found = _look(picture, model, given, free, held, opened, inquire, seed, say)
+    found = _look(picture, model, given, free, held, opened, inquire, most, seed, say)
     return _concluded(found, notes, roles, (began, compiled), seed)
 
 
@@ -269,12 +273,13 @@ def _look(
     held: np.ndarray,
     opened: list[tuple[int, list[int]]],
     inquire: bool,
+    most: int,
     seed: int,
     say: Say,
 ) -> Found:
     """Screen, climb, settle."""
     if isinstance(model, Staged):
-        return _look_on_stage(picture, model, given, free, held, opened, inquire, seed, say)
+        return _look_on_stage(picture, model, given, free, held, opened, inquire, most, seed, say)
     say("screening")
     begun = _starts(picture, model, given, seed)
     candidates = [begun[0]]
@@ -284,13 +289,15 @@ def _look(
         candidates = [climbed.coordinates]
     if free.any() and model.banded:
         candidates = dips.on_subset(picture, model, candidates[0], free, held, seed, say)
-    seen = picture.observe(pixels_used(picture, seed))
+    seen = picture.observe(pixels_used(picture, seed, most))
     say(f"all {len(seen.pixels):,} pixels")
     settled, tangent = max(
         (search.settle(z, model, seen, free, held) for z in candidates),
         key=lambda found: found[0].log_likelihood,
     )
     at = evidence(settled, tangent, seen)
+    # The derivatives of every pixel would only fill the memory.
+    del tangent
     if model.banded:
         settled, at = dips.next_dips(settled, at, model, seen, free, held)
         settled, at = dips.beat_rivals(settled, at, model, picture, seen, free, held, seed)
@@ -326,6 +333,7 @@ def _look_on_stage(
     held: np.ndarray,
     opened: list[tuple[int, list[int]]],
     inquire: bool,
+    most: int,
     seed: int,
     say: Say,
 ) -> Found:
@@ -343,6 +351,7 @@ def _look_on_stage(
         np.append(held[:4], light),
         [],
         inquire,
+        most,
         seed,
         say,
     )

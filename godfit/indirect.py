@@ -16,7 +16,7 @@ from collections.abc import Callable
 import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
-from scipy.stats import norm, t
+from scipy.special import ndtri, stdtrit
 
 from godfit.blocks import was_jpeg
 from godfit.image import encode
@@ -97,7 +97,7 @@ def corrected(found: Found) -> Found:
     at = evidence(settled, tangent, found.seen)
     # So few draws leave their own covariance in doubt, and the mean that was taken away.
     count = len(errors)
-    wider = (t.ppf(0.975, count - 1) / norm.ppf(0.975)) ** 2 * (1 + 1 / count)
+    wider = (stdtrit(count - 1, 0.975) / ndtri(0.975)) ** 2 * (1 + 1 / count)
     scatter = wider * np.atleast_2d(np.cov(errors.T))
     return dataclasses.replace(found, settled=settled, at=at, scatter=scatter)
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2, norm, t
+from scipy.special import chdtri, ndtri, stdtrit
 
 # Degrees of freedom of the t, and the chance of a sound frame to be left out.
 TAILS, CHANCE = 4.0, 1e-3
@@ -38,7 +38,7 @@ def pooled(answers: np.ndarray, informations: np.ndarray) -> Pool:
     the rows of what a frame does not tell."""
     answers, informations = np.asarray(answers, float), np.asarray(informations, float)
     count = np.count_nonzero(np.diagonal(informations, axis1=1, axis2=2) > 0, axis=1)
-    limit = chi2.ppf(1 - CHANCE, np.maximum(count, 1))
+    limit = chdtri(np.maximum(count, 1), CHANCE)
     # From the frame that the others are least far from, no one frame too far.
     apart = np.stack([_distances(a, answers, informations) for a in answers])
     mean = answers[np.minimum(apart, limit[None]).sum(1).argmin()]
@@ -75,7 +75,7 @@ def _left_out(mean: np.ndarray, answers: np.ndarray, informations: np.ndarray) -
     kept = ~np.eye(count, dtype=bool)
     means = np.stack([_mean(answers, informations, k.astype(float), mean) for k in kept])
     error = np.sqrt((count - 1) / count * ((means - means.mean(0)) ** 2).sum(0))
-    return error * t.ppf(0.975, count - 1) / norm.ppf(0.975)
+    return error * stdtrit(count - 1, 0.975) / ndtri(0.975)
 
 
 def _distances(mean: np.ndarray, answers: np.ndarray, informations: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from godfit.inference import Evidence, evidence
 from godfit.models import AbstractModel
@@ -42,7 +42,7 @@ def relieved(seen: Observation, prediction: np.ndarray, sigma: float) -> Observa
     near, count = near[count >= MANY], count[count >= MANY]
     if not len(near):
         return seen
-    wider = sigma * norm.isf(-np.expm1(-np.log(2) / count)).astype(np.float32)
+    wider = -sigma * ndtri(-np.expm1(-np.log(2) / count)).astype(np.float32)
     lo[near] -= wider
     hi[near] += wider
     return eqx.tree_at(lambda s: (s.lo, s.hi), seen, (jnp.asarray(lo), jnp.asarray(hi)))
@@ -64,4 +64,5 @@ def counted_once(
             break
         settled, tangent = settle(settled.coordinates, model, seen, free, held)
         at = evidence(settled, tangent, seen)
+        del tangent
     return settled, at, seen

@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 SCHEMA = 1
 
 
+# Pixels of a panel's longer side, at most.
+SHOWN = 1024
+
+
 def number(value: float, stderr: float | None) -> str:
     """A value to the digits that its error leaves it, at least four and at most nine."""
     if stderr is None or not stderr > 0 or value == 0:
@@ -170,12 +174,13 @@ def plot(result: FitResult) -> Figure:
 
     picture = result.picture
     height, width = picture.size
-    residual = worst_channel(result.residual)
+    # More than the panels have pixels to show would only take memory.
+    few = (slice(None, None, -(-max(height, width) // SHOWN)),) * 2
+    residual = worst_channel(result.residual[few])
     known = np.abs(residual[np.isfinite(residual)])
     limit = max(0.5, float(np.quantile(known, 0.998))) if known.size else 0.5
-    step = max(1, max(height, width) // 1024)
-    fitted = np.asarray(encode(result.render(), picture.transfer))
-    target = picture.levels / np.float32(LEVELS)
+    fitted = np.asarray(encode(result.render()[few], picture.transfer))
+    target = picture.levels[few] / np.float32(LEVELS)
     panels = [
         ("target", target if target.shape[-1] == 3 else target[..., 0]),
         ("fitted", fitted),
@@ -183,7 +188,7 @@ def plot(result: FitResult) -> Figure:
     ]
     if picture.foreign:
         # Nobody gave a mask: what the light pass is taken to read, faint things brightened.
-        panels.insert(1, ("mask as understood, square root", np.sqrt(result.mask)))
+        panels.insert(1, ("mask as understood, square root", np.sqrt(result.mask[few])))
     # Laid out by hand, in inches: matplotlib's own layout draws everything several times over.
     lines = -(-len(result.params) // 2) + len(_remarks(result)) + 1
     wide, tall, gap = 4.0, 4.0 * min(max(height / width, 0.3), 2.0), 0.45
@@ -202,7 +207,7 @@ def plot(result: FitResult) -> Figure:
         axes = figure.add_axes(place(left, text + 0.3, left + wide, text + 0.3 + tall))
         signed = image is residual
         shown = axes.imshow(
-            image[::step, ::step],
+            image,
             cmap="RdBu_r" if signed else "gray",
             vmin=-limit if signed else 0,
             vmax=limit if signed else 1,

@@ -14,18 +14,20 @@ import jax.numpy as jnp
 import numpy as np
 
 from godfit import banding, screen, search
+from godfit.dips import DOUBT
 from godfit.fitting import pixels_used
 from godfit.inference import misfit
 from godfit.models import AbstractModel, Mitchell
 from godfit.observation import Observation
 from godfit.result import FitResult
 from godfit.search import Settled, Tangent
+from godfit.side_by_side import side_by_side
 from godfit.tinted import Tinted
 
 # What DawnTime and Vesper ship, for shaders that publish no defaults.
 SHIPPED = {"decay": 0.99, "density": 0.8, "weight": 0.8}
 # Values that rungs are fitted to: enough for differences that anyone would see.
-VALUES = 1 << 16
+VALUES = 1 << 15
 Say = Callable[[str], None]
 
 
@@ -60,6 +62,8 @@ class Ladder:
         self.base, self.shader, self.seed, self.say = base, base.model, seed, say
         self.picture = base.picture
         self.seen = self.picture.observe(pixels_used(self.picture, seed, VALUES))
+        self.few = self.picture.observe(self.picture.informative(search.PIXELS, seed))
+        self.views = search.blurred_views(self.picture.small, seed)
         published = self.shader.convention.defaults
         self.held = {name: published.get(name, SHIPPED[name]) for name in SHIPPED}
         self.held |= {"light_x": place[0], "light_y": place[1]}
@@ -81,18 +85,25 @@ class Ladder:
             ]
         if not box and self.shader.convention.own_pixel:
             steps += [("+ own pixel", "how much a pixel shows of itself", ["weight"])]
-        held = dict(self.held)
-        for name, shows, freed in steps:
-            self.say(name)
-            for one in freed:
-                del held[one]
+        held, given = dict(self.held), []
+        for _, _, freed in steps:
+            held = {k: v for k, v in held.items() if k not in freed}
+            given.append(held)
+
+        def climbed(step: int) -> list[np.ndarray]:
             starts = [point]
-            if len(found) > 1:
-                starts.append(found[-1].settled.coordinates)
-            if "light_x" in freed:
-                starts += screen.starts(self.picture.small, self.shader, held, keep=2,
-                                        seed=self.seed)  # fmt: skip
-            found.append(self._fitted(name, shows, self.shader, held, starts, climb=True))
+            if "light_x" in steps[step][2]:
+                starts += screen.starts(
+                    self.picture.small, self.shader, given[step], keep=2, seed=self.seed
+                )
+            return self._climbed(self.shader, given[step], starts)
+
+        self.say("climbing")
+        ways = side_by_side(climbed, range(len(steps)))
+        for (name, shows, _), held, starts in zip(steps, given, ways, strict=True):
+            self.say(name)
+            below = [] if len(found) == 1 else [found[-1].settled.coordinates]
+            found.append(self._fitted(name, shows, self.shader, held, [*starts, *below]))
         found += self._above(found[-1], held)
         return found
 
@@ -154,7 +165,8 @@ class Ladder:
         starts = [self._coordinates(two)]
         starts += screen.starts(self.picture.small, two, given, keep=2, seed=self.seed)
         extra = below.parameters - 1 - int(below.free.sum())
-        rung = self._fitted("+ second light", "a second light", two, held, starts, climb=True)
+        starts = self._climbed(two, held, starts)
+        rung = self._fitted("+ second light", "a second light", two, held, starts)
         return dataclasses.replace(rung, parameters=rung.parameters + extra)
 
     def _coloured(self, below: Mitchell, held: Mapping[str, float], extra: int) -> Rung:
@@ -165,6 +177,30 @@ class Ladder:
         rung = self._fitted("+ colour", "a light of a colour", model, held, [z])
         return dataclasses.replace(rung, parameters=rung.parameters + extra)
 
+    def _climbed(
+        self, model: Mitchell, given: Mapping[str, float], starts: list[np.ndarray]
+    ) -> list[np.ndarray]:
+        """The first of ``starts``, and what a climb from all of them comes to."""
+        free, held = self._switches(model, given)
+        point = search.climb(
+            self.picture.small, model, starts, free, held, self.seed, lambda text: None,
+            views=self.views,
+        )  # fmt: skip
+        return [starts[0], point.coordinates]
+
+    def _switches(
+        self, model: AbstractModel, given: Mapping[str, float]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(p,) which parameters move, and where the ``given`` ones are held."""
+        held = np.array([given.get(n, np.nan) for n in model.parameters], np.float32)
+        free = np.isnan(held) & model.used
+        if isinstance(model, Mitchell | Tinted):
+            shader = model if isinstance(model, Mitchell) else model.shading
+            if not shader.convention.own_pixel and free[0] and free[3]:
+                # Only exposure times weight is shown.
+                held[0], free[0] = float(shader.exposure), False
+        return free, held
+
     def _fitted(
         self,
         name: str,
@@ -172,27 +208,21 @@ class Ladder:
         model: AbstractModel,
         given: Mapping[str, float],
         starts: list[np.ndarray],
-        *,
-        climb: bool = False,
     ) -> Rung:
-        """The likeliest point with parameters ``given`` held: the best of ``starts`` and of what a
-        climb from them comes to."""
-        names = list(model.parameters)
-        held = np.array([given.get(n, np.nan) for n in names], np.float32)
-        free = np.isnan(held) & model.used
-        if isinstance(model, Mitchell | Tinted):
-            shader = model if isinstance(model, Mitchell) else model.shading
-            if not shader.convention.own_pixel and free[0] and free[3]:
-                # Only exposure times weight is shown.
-                held[0], free[0] = float(shader.exposure), False
+        """The likeliest point from ``starts`` with parameters ``given`` held."""
+        free, held = self._switches(model, given)
         points = [np.asarray(z, np.float32) for z in starts]
-        if climb:
-            climbed = search.climb(
-                self.picture.small, model, points, free, held, self.seed, lambda text: None
+        points = self._apart(points)
+        if len(points) > 1:
+            # A few values tell which is the best; those that they cannot tell apart go on.
+            ends = side_by_side(
+                lambda z: search.settle(z, model, self.few, free, held, rounds=4)[0], points
             )
-            points = [points[0], climbed.coordinates]
+            most = max(end.log_likelihood for end in ends)
+            points = [e.coordinates for e in ends if e.log_likelihood > most - DOUBT]
+            points = self._apart(points)
         settled, tangent = max(
-            (search.settle(z, model, self.seen, free, held) for z in self._apart(points)),
+            (search.settle(z, model, self.seen, free, held) for z in points),
             key=lambda found: found[0].log_likelihood,
         )
         fitted = model.moved(jnp.asarray(settled.coordinates), jnp.asarray(held))

@@ -40,6 +40,8 @@ WALLS = 1 << 14
 SHORT = 4.0
 # Where there are no bands there are no kinks that matter.
 SHORT_WITHOUT = 0.05
+# Values whose derivatives are not held twice.
+LARGE = 1 << 20
 SIGMA_VALUES, FINAL_SIGMA_VALUES = 1 << 12, 1 << 15
 SIGMAS = (0.005 * 3.0 ** np.arange(10)).astype(np.float32)
 
@@ -61,33 +63,41 @@ def _log_likelihoods(
 
 
 def best_sigma(
-    prediction: np.ndarray, seen: Observation, part_of: int = SIGMA_VALUES
+    prediction: np.ndarray,
+    seen: Observation,
+    part_of: int = SIGMA_VALUES,
+    near: float | None = None,
 ) -> tuple[float, float]:
     """Noise in levels that makes the pixels likeliest, and their log-likelihood.
 
     A grid of sigmas is refined by finer ones about its best and at last by a parabola, on
     ``part_of`` the values: n of them know sigma to a share of 1/sqrt(2 n). The values are the same
     at every call, and the parabola leaves no grid, so that likelihoods can be compared: of n values
-    sigma off by a share d costs n d^2.
+    sigma off by a share d costs n d^2. The first grid has all sigmas, or those ``near`` one, unless
+    the best lies at its end.
     """
     values = (prediction, seen.lo, seen.hi)
     if prediction.shape[0] > part_of:
         # Drawn at random: a regular stride would fall into step with the rows.
         part = np.random.default_rng(0).integers(0, prediction.shape[0], part_of)
         values = tuple(np.asarray(z)[part] for z in values)
-    sigmas, ratio = SIGMAS, SIGMAS[1] / SIGMAS[0]
-    for _ in range(3 if part_of == SIGMA_VALUES else 4):
+    ratios = (SIGMAS[1] / SIGMAS[0]) ** 0.25 ** np.arange(3 if part_of == SIGMA_VALUES else 4)
+    best, sigmas = near, SIGMAS
+    for ratio in ratios if near is None else ratios[-2:]:
+        if best is not None:
+            sigmas = best * ratio ** np.linspace(-4.5, 4.5, len(SIGMAS))
+            sigmas = np.clip(sigmas, SIGMAS[0], SIGMAS[-1]).astype(np.float32)
         found = np.asarray(_log_likelihoods(*values, sigmas, foreign=seen.foreign), np.float64)
         at = int(np.nanargmax(found))
+        if near is not None and not 0 < at < len(sigmas) - 1:
+            return best_sigma(prediction, seen, part_of)
         best, step = float(sigmas[at]), math.log(ratio)
         if 0 < at < len(sigmas) - 1 and np.isfinite(found[at - 1 : at + 2]).all():
             before, here, after = found[at - 1 : at + 2]
             bend = before - 2 * here + after
             best *= math.exp(step * 0.5 * (before - after) / bend) if bend < 0 else 1.0
             best = min(max(best, float(SIGMAS[0])), float(SIGMAS[-1]))
-        ratio **= 0.25
-        sigmas = best * ratio ** np.linspace(-4.5, 4.5, len(SIGMAS))
-        sigmas = np.clip(sigmas, SIGMAS[0], SIGMAS[-1]).astype(np.float32)
+    assert best is not None
     return best, log_likelihood_at(prediction, seen, best)
 
 
@@ -107,12 +117,12 @@ def climb(
     seed: int,
     report: Callable[[str], None],
     ladder: Sequence[tuple[float, int, float]] = LADDER,
+    views: Sequence[Observation] = (),
 ) -> Point:
-    """The best of ``starts`` after the ladder of blurs."""
-    pixels = picture.informative(BLURRED_PIXELS, seed)
+    """The best of ``starts`` after the ladder of blurs; ``views`` are the picture's, if known."""
+    *blurs, sharp = views or blurred_views(picture, seed, ladder)
     points = [Point(start, np.inf, False, 0) for start in starts]
-    for share, keep, sigma in ladder:
-        seen = picture.observe(pixels, share * max(picture.size))
+    for (share, keep, sigma), seen in zip(ladder, blurs, strict=True):
         report(f"{len(points)} starts, blur of {share * max(picture.size):.1f} pixels")
         points = [
             solve(p.coordinates, free, held, model, seen, sigma, bounded=False) for p in points
@@ -120,9 +130,17 @@ def climb(
         points.sort(key=lambda p: p.cost)
         # Without bands all starts are cheap to follow, and the right one may fall behind at first.
         points = _distinct(points)[: keep if model.banded else ALL]
-    seen = picture.observe(pixels)
-    points = [solve(p.coordinates, free, held, model, seen, 0.3) for p in points]
+    points = [solve(p.coordinates, free, held, model, sharp, 0.3) for p in points]
     return min(points, key=lambda p: p.cost)
+
+
+def blurred_views(
+    picture: Picture, seed: int, ladder: Sequence[tuple[float, int, float]] = LADDER
+) -> list[Observation]:
+    """A few pixels of the picture for every blur of the ladder, and the same ones sharp."""
+    pixels = picture.informative(BLURRED_PIXELS, seed)
+    blurs = [share * max(picture.size) for share, _, _ in ladder]
+    return [picture.observe(pixels, blur) for blur in [*blurs, 0.0]]
 
 
 def _distinct(points: list[Point]) -> list[Point]:
@@ -185,7 +203,7 @@ def settle(
     settled, tangent = _in_rounds(start, model, seen, free, held, rounds)
     if settled.sigma > EXPLAINED:
         # On the way a few percent were enough; errors are quoted in units of it.
-        sigma, likelihood = best_sigma(tangent.prediction, seen, FINAL_SIGMA_VALUES)
+        sigma, likelihood = best_sigma(tangent.prediction, seen, FINAL_SIGMA_VALUES, settled.sigma)
         settled = settled._replace(sigma=sigma, log_likelihood=likelihood)
     return settled, tangent
 
@@ -207,19 +225,25 @@ def _in_rounds(start, model, seen, free, held, rounds) -> tuple[Settled, Tangent
             # So short a step that the tangent is as good as another rendering.
             return goal, there
         z = best.coordinates + np.float32(part) * (goal.coordinates - best.coordinates)
+        del there
+        if len(tangent.prediction) > LARGE:
+            # Two sets of derivatives would be the most that a fit ever holds: rather made again.
+            tangent = None
         there = render(z)
-        sigma, likelihood = best_sigma(there.prediction, seen)
+        sigma, likelihood = best_sigma(there.prediction, seen, near=goal.sigma)
         gained = likelihood - best.log_likelihood
+        done = abs(gained) < short / 8
         if gained > 0:
             best, tangent = Settled(z, sigma, likelihood, False), there
             part = 1.0
-        elif part < 1:
-            # On a kink, where neither the whole step nor a part of it gains, there is no further.
-            return best._replace(quiet=True), tangent
         else:
+            # On a kink, where neither the whole step nor a part of it gains, there is no further.
+            done |= part < 1
             # Over a kink of the bilinear mask the tangent promises too much.
             part = 0.25
-        if abs(gained) < short / 8:
+        del there
+        tangent = tangent or render(best.coordinates)
+        if done:
             return best._replace(quiet=True), tangent
     return best, tangent
 
@@ -239,7 +263,7 @@ def aim(
             z, free, model, tangent.scale, moved, jacobian, lo[rows], hi[rows], sigma, seen.foreign
         ).coordinates
         moved = tangent.moved(z - at.coordinates)
-        before, (sigma, likelihood) = sigma, best_sigma(moved, seen)
+        before, (sigma, likelihood) = sigma, best_sigma(moved, seen, near=sigma)
         if abs(sigma - before) < 0.05 * before:
             break
     if likelihood <= at.log_likelihood:

@@ -26,8 +26,9 @@ from godfit.likelihood import log_likelihood
 from godfit.models import Mitchell
 from godfit.observation import Observation
 from godfit.result import FitResult
-from godfit.rungs import Ladder, Rung, like_noise
+from godfit.rungs import VALUES, Ladder, Rung, like_noise
 from godfit.scene import Scene, read_scene
+from godfit.side_by_side import side_by_side
 from godfit.solver import solve_tangent
 from godfit.taps import CONVENTIONS
 
@@ -157,6 +158,7 @@ def select(
             progress=say,
             channels=channels,
             inquire=False,
+            max_values=VALUES,
             **options,
         )
         ladder = Ladder(base, place, seed, say)
@@ -168,7 +170,8 @@ def select(
             shared = {k: v for k, v in options.items() if k in ("background", "valid", "transfer")}
             daylight = fit(
                 source, mask=mask, scene=scene, model="hoffman-preetham", fov=fov,
-                distance=distance, channels=3, inquire=False, seed=seed, progress=say, **shared,
+                distance=distance, channels=3, inquire=False, max_values=VALUES, seed=seed,
+                progress=say, **shared,
             )  # fmt: skip
         same = _equivalent(rows[chosen].rung, base)
     seconds = time.perf_counter() - began
@@ -181,7 +184,7 @@ def _judged(rungs: list[Rung], seen: Observation, seed: int, share: float) -> tu
     lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
     known = np.isfinite(lo) & np.isfinite(hi)
     middle = (np.where(known, lo, 0) + np.where(known, hi, 0)) / 2
-    scores, sizes = zip(*(_held_out(rung, seen, seed) for rung in rungs), strict=True)
+    scores, sizes = zip(*side_by_side(lambda rung: _held_out(rung, seen, seed), rungs), strict=True)
     costs = [-2 * share * rung.settled.log_likelihood for rung in rungs]
     bics = [c + penalty * r.parameters for c, r in zip(costs, rungs, strict=True)]
     best = int(np.argmin(bics))

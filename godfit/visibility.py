@@ -7,15 +7,15 @@ are those of ``projection.py``.
 
 from __future__ import annotations
 
-import os
+import itertools
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
 from godfit.native import compiled
 from godfit.projection import Lens, Triangles
+from godfit.side_by_side import cores, side_by_side
 
 BACKGROUND, LIGHT, FIRST_OBJECT = 0, 1, 2
 
@@ -149,11 +149,7 @@ def label(
 
 def share_rows(height: int, work: Callable[[int, int], Any]) -> list[Any]:
     """Call work(first, last) for bands of rows, on all cores; what each returned, in order."""
-    cores = os.cpu_count() or 1
     # More bands than cores: objects seldom fill the picture evenly.
-    bands = min(height, 4 * cores if cores > 1 else 1)
+    bands = min(height, 4 * cores() if cores() > 1 else 1)
     at = [height * i // bands for i in range(bands + 1)]
-    if bands == 1:
-        return [work(0, height)]
-    with ThreadPoolExecutor(cores) as pool:
-        return list(pool.map(work, at[:-1], at[1:]))
+    return side_by_side(lambda rows: work(*rows), list(itertools.pairwise(at)))

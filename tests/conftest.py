@@ -50,7 +50,6 @@ COMPILED = (
     "godfit.flatland.compiled_cascades",
     "godfit.radial.compiled",
     "godfit.radial.foreign",
-    "godfit.ray_sums",
 )
 compiled = {name: importlib.import_module(name) for name in COMPILED}
 for name in [n for n in sys.modules if n.split(".")[0] == "godfit"]:

@@ -159,7 +159,7 @@ def _rows(mask, flat, numbers, count, begin, out):
 
 
 @_compiled
-def _scattered(mask, at, numbers, count, out):
+def scattered(mask, at, numbers, count, out):
     """``out`` (1 or 4, 1, points) at columns and rows ``at`` (2, points)."""
     real = mask.dtype.type
     texels, next_row, one = mask.reshape(-1), np.uint64(mask.shape[1]), np.uint64(1)
@@ -227,7 +227,7 @@ def _points(frame, real):
     if not asks_version(frame):
         mask, at = matrix(frame, 0, real), matrix(frame, 1, real)
         count = vector(frame, 3, np.int32)[0]
-        _scattered(mask, at, vector(frame, 2, real), count, result(frame, real))
+        scattered(mask, at, vector(frame, 2, real), count, result(frame, real))
     return 0
 
 
