@@ -121,6 +121,12 @@ def test_help_does_not_wait_for_jax():
     assert subprocess.run([sys.executable, "-c", program], capture_output=True).returncode == 0
 
 
+def test_a_fit_does_not_wait_for_what_it_does_not_use():
+    program = "import sys, godfit.fitting; "
+    program += "sys.exit(bool({'scipy.stats', 'matplotlib', 'trimesh'} & {*sys.modules}))"
+    assert subprocess.run([sys.executable, "-c", program], capture_output=True).returncode == 0
+
+
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
