@@ -1,4 +1,4 @@
-"""Other starts, where what is left of a fit is not noise and one start is not to be trusted."""
+"""Other starts and other readings of the images, where what is left of a fit is not noise."""
 
 from __future__ import annotations
 
