@@ -160,8 +160,7 @@ def solve_tangent(
     rounding = width[np.isfinite(width)].max(initial=0) ** 2 / 12
     # One scale for every coordinate keeps those that nothing is known of where they are.
     least_squares = np.asarray(_gram(values[1]), np.float64) / (sigma**2 + rounding)
-    still = np.eye(len(start))
-    size = np.sqrt(np.diag(least_squares) + 1)
+    still, size = 1.0, np.sqrt(np.diag(least_squares) + 1)
 
     def at(step):
         found = _on_tangent(step.astype(np.float32), *values, foreign=foreign)
@@ -178,7 +177,8 @@ def solve_tangent(
         if not len(moving):
             settled = True
             break
-        damped = (curvature + damping * least_squares + still) / np.outer(size, size)
+        damped = curvature + damping * least_squares + still * np.eye(len(start))
+        damped /= np.outer(size, size)
         move = np.zeros(len(start))
         pull = slope[moving] / size[moving]
         move[moving] = np.linalg.solve(damped[np.ix_(moving, moving)], pull) / size[moving]
@@ -186,6 +186,9 @@ def solve_tangent(
         promised = float(slope @ (trial - step))
         found = at(trial)
         if found[0] >= likelihood:
+            if found[0] - likelihood > 0.7 * promised:
+                # As much as the slope says, where a whole step gains half: no curvature ended it.
+                still /= 10
             step, (likelihood, slope, curvature) = trial, found
             damping = max(damping / 10, 1e-6)
         else:
