@@ -14,10 +14,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from godfit.likelihood import log_likelihood
-from godfit.models import AbstractModel, Values
+from godfit.models import AbstractModel
 from godfit.observation import Observation, Picture
 from godfit.solver import Point, linearise, solve, solve_tangent
 
@@ -43,23 +42,43 @@ SHORT_WITHOUT = 0.05
 # Values whose derivatives are not held twice.
 LARGE = 1 << 20
 SIGMA_VALUES, FINAL_SIGMA_VALUES = 1 << 12, 1 << 15
-SIGMAS = (0.005 * 3.0 ** np.arange(10)).astype(np.float32)
+RATIO = 3.0
+SIGMAS = (0.005 * RATIO ** np.arange(10)).astype(np.float32)
+MIDDLE = float(np.sqrt(SIGMAS[0] * SIGMAS[-1]))
 
 
-@functools.partial(jax.jit, static_argnames="foreign")
-def _log_likelihoods(
-    prediction: Values,
-    lo: Values,
-    hi: Values,
-    sigmas: Float[Array, " s"] | Float[np.ndarray, " s"],
-    foreign: float = 0.0,
-) -> Float[Array, " s"]:
-    pixels = jnp.asarray(prediction), jnp.asarray(lo), jnp.asarray(hi)
+def _total(prediction, lo, hi, sigma, foreign):
+    return log_likelihood(prediction, lo, hi, sigma, foreign).sum()
 
-    def total(sigma):
-        return log_likelihood(pixels[0], pixels[1], pixels[2], sigma, foreign).sum()
 
-    return jax.lax.map(total, jnp.asarray(sigmas))
+@functools.partial(jax.jit, static_argnames=("part_of", "foreign"))
+def _likeliest(prediction, lo, hi, middle, first, last, part_of: int, foreign: float):
+    """Sigma, the log-likelihood of all values there, and whether the first grid had it inside."""
+    values = prediction, lo, hi
+    few = values
+    if prediction.shape[0] > part_of:
+        # Drawn at random: a regular stride would fall into step with the rows.
+        part = np.random.default_rng(0).integers(0, prediction.shape[0], part_of)
+        few = prediction[part], lo[part], hi[part]
+
+    def finer(k, state):
+        middle, within = state
+        step = math.log(RATIO) * 0.25 ** k.astype(middle.dtype)
+        places = jnp.arange(len(SIGMAS)) - (len(SIGMAS) - 1) / 2
+        sigmas = jnp.clip(middle * jnp.exp(step * places), SIGMAS[0], SIGMAS[-1])
+        found = jax.lax.map(lambda sigma: _total(*few, sigma, foreign), sigmas)
+        at = jnp.argmax(jnp.where(jnp.isnan(found), -jnp.inf, found))
+        inside = (at > 0) & (at < len(SIGMAS) - 1)
+        before, here, after = found[at - 1], found[at], found[at + 1]
+        bend = before - 2 * here + after
+        parabola = inside & (bend < 0) & jnp.isfinite(bend)
+        shift = 0.5 * (before - after) / jnp.where(parabola, bend, 1.0)
+        best = sigmas[at] * jnp.exp(jnp.where(parabola, step * shift, 0.0))
+        best = jnp.clip(best, SIGMAS[0], SIGMAS[-1]).astype(middle.dtype)
+        return best, jnp.where(k == first, inside, within)
+
+    sigma, within = jax.lax.fori_loop(first, last + 1, finer, (middle, jnp.bool_(True)))
+    return jnp.stack([sigma, _total(*values, sigma, foreign), within.astype(sigma.dtype)])
 
 
 def best_sigma(
@@ -70,42 +89,30 @@ def best_sigma(
 ) -> tuple[float, float]:
     """Noise in levels that makes the pixels likeliest, and their log-likelihood.
 
-    A grid of sigmas is refined by finer ones about its best and at last by a parabola, on
+    A grid of sigmas is refined by finer ones about its best and by a parabola in each, on
     ``part_of`` the values: n of them know sigma to a share of 1/sqrt(2 n). The values are the same
     at every call, and the parabola leaves no grid, so that likelihoods can be compared: of n values
     sigma off by a share d costs n d^2. The first grid has all sigmas, or those ``near`` one, unless
     the best lies at its end.
     """
-    values = (prediction, seen.lo, seen.hi)
-    if prediction.shape[0] > part_of:
-        # Drawn at random: a regular stride would fall into step with the rows.
-        part = np.random.default_rng(0).integers(0, prediction.shape[0], part_of)
-        values = tuple(np.asarray(z)[part] for z in values)
-    ratios = (SIGMAS[1] / SIGMAS[0]) ** 0.25 ** np.arange(3 if part_of == SIGMA_VALUES else 4)
-    best, sigmas = near, SIGMAS
-    for ratio in ratios if near is None else ratios[-2:]:
-        if best is not None:
-            sigmas = best * ratio ** np.linspace(-4.5, 4.5, len(SIGMAS))
-            sigmas = np.clip(sigmas, SIGMAS[0], SIGMAS[-1]).astype(np.float32)
-        found = np.asarray(_log_likelihoods(*values, sigmas, foreign=seen.foreign), np.float64)
-        at = int(np.nanargmax(found))
-        if near is not None and not 0 < at < len(sigmas) - 1:
-            return best_sigma(prediction, seen, part_of)
-        best, step = float(sigmas[at]), math.log(ratio)
-        if 0 < at < len(sigmas) - 1 and np.isfinite(found[at - 1 : at + 2]).all():
-            before, here, after = found[at - 1 : at + 2]
-            bend = before - 2 * here + after
-            best *= math.exp(step * 0.5 * (before - after) / bend) if bend < 0 else 1.0
-            best = min(max(best, float(SIGMAS[0])), float(SIGMAS[-1]))
-    assert best is not None
-    return best, log_likelihood_at(prediction, seen, best)
+    last = 2 if part_of == SIGMA_VALUES else 3
+    first, middle = (0, MIDDLE) if near is None else (last - 1, near)
+    found = _likeliest(
+        prediction, seen.lo, seen.hi, np.float32(middle), first, last,
+        part_of=part_of, foreign=seen.foreign,
+    )  # fmt: skip
+    sigma, likelihood, within = (float(z) for z in np.asarray(found))
+    if near is not None and not within:
+        return best_sigma(prediction, seen, part_of)
+    return sigma, likelihood if math.isfinite(likelihood) else -math.inf
+
+
+_total_at = jax.jit(_total, static_argnames="foreign")
 
 
 def log_likelihood_at(prediction: np.ndarray, seen: Observation, sigma: float) -> float:
     """Log-likelihood of all pixels."""
-    sigmas = np.full(1, sigma, np.float32)
-    found = _log_likelihoods(prediction, seen.lo, seen.hi, sigmas, foreign=seen.foreign)
-    return float(found[0])
+    return float(_total_at(prediction, seen.lo, seen.hi, np.float32(sigma), foreign=seen.foreign))
 
 
 def climb(

@@ -92,14 +92,17 @@ def _on_tangent(
     hi: Values,
     sigma: Scalar,
     foreign: float = 0.0,
-) -> tuple[Float[Array, ""], Float[Array, " p"], Float[Array, "p p"]]:
-    """Log-likelihood with the model replaced by its tangent, slope and curvature by ``step``."""
+) -> Float[Array, "p+2 p"]:
+    """Log-likelihood with the model replaced by its tangent (first of the first row), slope by
+    ``step`` (second row) and curvature."""
     jacobian = jnp.asarray(jacobian)
     levels = jnp.asarray(prediction) + step @ jacobian
     low, high = (jnp.asarray(lo) - levels) / sigma, (jnp.asarray(hi) - levels) / sigma
     pixel = interval(low, high, foreign)
     curvature = (jacobian * (pixel.curvature / sigma**2)[None]) @ jacobian.T
-    return pixel.log.sum(), jacobian @ (pixel.slope / sigma), curvature
+    slope = jacobian @ (pixel.slope / sigma)
+    # In one array: what is brought back one by one takes as long as it takes to work out.
+    return jnp.concatenate([jnp.full_like(slope, pixel.log.sum())[None], slope[None], curvature])
 
 
 @jax.jit
@@ -164,7 +167,8 @@ def solve_tangent(
 
     def at(step):
         found = _on_tangent(step.astype(np.float32), *values, foreign=foreign)
-        return [np.asarray(z, np.float64) for z in found]
+        found = np.asarray(found, np.float64)
+        return found[0, 0], found[1], found[2:]
 
     step, damping, settled, steps = np.zeros(len(start)), 1e-2, False, 0
     likelihood, slope, curvature = at(step)
