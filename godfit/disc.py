@@ -27,6 +27,8 @@ SHAPE = (
     Parameter("veil", "c", "1", 0.0, 1.0, "what the mask is cleared to; the light is 1"),
 )
 FIRST = len(SCATTERING) + 2 + len(SHAPE)
+# Coordinates of what the disc adds and of what the veil adds.
+GAIN, VEIL = 3, 8
 CHANNELS = "rgb"
 # Powers of x and y, each from -1 to 1 over the picture, in order of degree.
 POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
@@ -51,7 +53,9 @@ class DiscLight(AbstractModel):
 
     ``shading`` holds the scattering and the light's place; ``shape`` (3,) is radius and edge, in
     picture heights, and veil; ``background`` (k, c) holds linear values at the middle of the
-    picture and coefficients of ``terms``. Coordinates are Mitchell's and then these numbers.
+    picture and coefficients of ``terms``. Coordinates are Mitchell's and then these numbers, but
+    that for gain and veil stand gain (1 - veil) and gain veil: the picture is linear in what the
+    disc and the veil add, while gain and veil trade in a bent valley.
     """
 
     name: ClassVar[str] = Mitchell.name
@@ -116,36 +120,49 @@ class DiscLight(AbstractModel):
         return dict(zip(self.parameters, numbers, strict=True))
 
     def coordinates(self) -> Float[Array, " p"]:
-        rest = (self.shape, self.background.reshape(-1))
-        return jnp.concatenate([self.shading.coordinates(), *rest])
+        scattering, (radius, edge, veil) = self.shading.coordinates(), self.shape
+        gain = scattering[GAIN]
+        scattering = scattering.at[GAIN].set(gain * (1 - veil))
+        shape = jnp.stack([radius, edge, gain * veil])
+        return jnp.concatenate([scattering, shape, self.background.reshape(-1)])
 
     def moved(self, coordinates: Vector, held: Vector | None = None) -> DiscLight:
         coordinates = jnp.asarray(coordinates)
         if held is None:
             held = jnp.full_like(coordinates, jnp.nan)
-        shading = self.shading.moved(coordinates[:6], held[:6])
-        rest = jnp.where(jnp.isnan(held[6:]), coordinates[6:], held[6:])
-        at = (shading, rest[:3], rest[3:].reshape(self.background.shape))
+        free = jnp.isnan(jnp.asarray(held))
+        disc, veiled = coordinates[GAIN], coordinates[VEIL]
+        gain = jnp.where(
+            free[VEIL], disc + veiled, disc / (1 - jnp.where(free[VEIL], 0, held[VEIL]))
+        )
+        shading = self.shading.moved(jnp.asarray(coordinates[:6]).at[GAIN].set(gain), held[:6])
+        # A weight that is held says what the gain is.
+        gain = shading.coordinates()[GAIN]
+        veil = jnp.clip(veiled / jnp.where(gain > 0, gain, 1.0), 0, 1)
+        rest = jnp.where(free[6:], coordinates[6:], held[6:])
+        shape = rest[:3].at[2].set(jnp.where(free[VEIL], veil, held[VEIL]))
+        at = (shading, shape, rest[3:].reshape(self.background.shape))
         return eqx.tree_at(lambda m: (m.shading, m.shape, m.background), self, at)
 
     def bounds(self) -> tuple[list[float], list[float]]:
         lower, upper = self.shading.bounds()
         count = self.background.size
         inf = float("inf")
-        return lower + [1e-3, 1e-4, 0.0] + [-inf] * count, upper + [2.0, 0.5, 1.0] + [inf] * count
+        return lower + [1e-3, 1e-4, 0.0] + [-inf] * count, upper + [2.0, 0.5, inf] + [inf] * count
 
     def linear(self) -> np.ndarray:
         index = np.arange(FIRST + self.background.size)
-        return np.isin(index, (0, 3)) | (index >= FIRST)
+        return (index == 0) | (index >= FIRST)
 
     def scales(self, coordinates: np.ndarray) -> np.ndarray:
         rest = np.full(len(coordinates) - 6, 0.02, np.float32)
         rest[:2] = np.maximum(0.2 * np.abs(coordinates[6:8]), (0.01, 2e-3))
+        rest[2] = 0.1 * np.abs(coordinates[VEIL]) + 1e-3
         return np.concatenate([self.shading.scales(coordinates[:6]), rest])
 
     def ranges(self, coordinates: np.ndarray) -> np.ndarray:
         rest = np.full(len(coordinates) - 6, 0.3)
-        rest[:2] = 0.2, 0.01
+        rest[:3] = 0.2, 0.01, max(coordinates[VEIL], 0.05)
         return np.concatenate([self.shading.ranges(coordinates[:6]), rest])
 
     def occlusion(self, open_: Float[Array, "h w"]) -> Float[Array, "h w"]:

@@ -347,12 +347,13 @@ def _enlarged(mask: np.ndarray, before: np.ndarray, fine: np.ndarray) -> np.ndar
 
 def coordinates_of(start: Mapping[str, float], model: DiscLight) -> np.ndarray:
     """Coordinates of what the screening found; the background is left out."""
-    both = start["gain"] + start["veil_gain"]
-    gain = max(both / model.convention.gain, 1e-2)
-    veil = float(np.clip(start["veil_gain"] / max(both, 1e-9), 0.003, 0.5))
+    disc, veil = (start[name] / model.convention.gain for name in ("gain", "veil_gain"))
+    both = max(disc + veil, 1e-2)
+    veil = float(np.clip(veil, 0.003 * both, 0.5 * both))
     weight = model.shading.defaults.get("weight", 0.8)
-    exposure = gain * start["density"] / (model.samples * weight)
-    first = [exposure, start["kappa"], start["density"], gain, start["light_x"], start["light_y"]]
+    exposure = both * start["density"] / (model.samples * weight)
+    place = start["light_x"], start["light_y"]
+    first = [exposure, start["kappa"], start["density"], both - veil, *place]
     rest = np.zeros(model.background.size)
     return np.array([*first, start["radius"], 0.004, veil, *rest], np.float32)
 

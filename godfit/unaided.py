@@ -31,8 +31,10 @@ RAYS = 0.25
 FAINT = 0.1
 # The valley in which radius, veil and gain trade is long.
 ROUNDS = 25
-# Noise in levels that the copy's answer may be off by.
-NEAR = 2.0
+# Noise in levels that the copy's answer may be off by, less and less.
+NEAR = (4.0, 2.0, 1.0)
+# The coordinate with dips.
+DENSITY = 2
 # Pixels without which nothing can be told.
 LEAST = 500
 NO_RAYS = (
@@ -103,7 +105,9 @@ def found_in(
     rays = looked.explained > RAYS
     rounds = ROUNDS if rays else 1
     # At some noise first: where a copy's answer is a little off, rays must not pass for foreign.
-    z = solve(looked.coordinates, free, held, model, seen, NEAR).coordinates
+    z = looked.coordinates
+    for sigma in NEAR if rays else NEAR[-1:]:
+        z = solve(z, free, held, model, seen, sigma).coordinates
     settled, tangent = search.settle(z, model, seen, free, held, rounds=rounds)
     at = _with_ranges(evidence(settled, tangent, seen), model.ranges(settled.coordinates))
     found = Found(model, picture, seen, settled, at, free, held, opened, False)
@@ -118,10 +122,19 @@ def found_in(
         _shift(settled, tangent, model, seen, free, held, inputs.shrink_mask(mask, pass_scale))
         for mask in looked.rivals
     ]
+    if free[DENSITY]:
+        shifts.append(_next_dip(settled, at.covariance(free), model.samples))
     found = dataclasses.replace(
         found, remarks=tuple(remarks), objection=objection, shifts=tuple(shifts)
     )
     return found, notes
+
+
+def _next_dip(settled: search.Settled, covariance: np.ndarray, samples: int) -> np.ndarray:
+    """(p,) how far the next of the dips lies that the taps make in the cost by density, see
+    ``dips.py``: with a mask of one's own making the deepest need not be the right one."""
+    dip = float(settled.coordinates[DENSITY]) / samples
+    return covariance[:, DENSITY] / covariance[DENSITY, DENSITY] * dip
 
 
 def _with_ranges(at: Evidence, ranges: np.ndarray) -> Evidence:

@@ -27,6 +27,8 @@ SETTLED = 4
 SCAN_PIXELS = 1 << 9
 # Dips either way that are looked into, and how many of them are tried.
 RIVAL_DIPS, RIVALS = 6, 2
+# Log-likelihood on some of the pixels by which a dip that is ahead on all may be behind.
+BEHIND = 8.0
 
 
 def rivals(
@@ -41,7 +43,8 @@ def rivals(
     count: int,
 ) -> list[np.ndarray]:
     """Coordinates in the deepest dips of ``along`` near ``start`` but for its own, on ``count``
-    pixels: where noise hides the bands, a few thousand cannot tell one dip from another."""
+    pixels, those of them that may be likelier: where noise hides the bands, a few thousand cannot
+    tell one dip from another."""
     pixels = picture.informative(count, seed)
     seen = picture.observe(pixels)
     smooth = picture.observe(pixels, LADDER[1][0] * max(picture.size))
@@ -61,7 +64,9 @@ def rivals(
     dips = _bottoms(costs)
     best = dips[np.argsort(costs[dips])][:RIVALS]
     begun = line[best].astype(np.float32)
-    return side_by_side(lambda z: solve(z, free, held, model, seen, start.sigma).coordinates, begun)
+    ends = side_by_side(lambda z: solve(z, free, held, model, seen, start.sigma), begun)
+    own = float(_costs(jnp.asarray(at[None], jnp.float32), held, model, seen, sigma)[0])
+    return [end.coordinates for end in ends if end.cost < own + BEHIND]
 
 
 @eqx.filter_jit
@@ -140,7 +145,8 @@ def _costs(
 ) -> Float[Array, " n"]:
     def cost(z):
         prediction = seen.predict(model.moved(z, held))
-        return 0.5 * (deviance_residuals(prediction, seen.lo, seen.hi, sigma) ** 2).sum()
+        residuals = deviance_residuals(prediction, seen.lo, seen.hi, sigma, seen.foreign)
+        return 0.5 * (residuals**2).sum()
 
     return jax.lax.map(cost, points)
 
