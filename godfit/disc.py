@@ -137,7 +137,7 @@ class DiscLight(AbstractModel):
         )
         shading = self.shading.moved(jnp.asarray(coordinates[:6]).at[GAIN].set(gain), held[:6])
         # A weight that is held says what the gain is.
-        gain = shading.coordinates()[GAIN]
+        gain = jnp.where(free[GAIN], gain, shading.coordinates()[GAIN])
         veil = jnp.clip(veiled / jnp.where(gain > 0, gain, 1.0), 0, 1)
         rest = jnp.where(free[6:], coordinates[6:], held[6:])
         shape = rest[:3].at[2].set(jnp.where(free[VEIL], veil, held[VEIL]))

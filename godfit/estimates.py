@@ -48,10 +48,8 @@ def estimates(
     covariance = by_coordinate @ spread @ by_coordinate.T
     combined = _combined(model.product, names, opened, values, covariance)
     # A parameter that an open coordinate would change is not known, however well the rest is.
-    unknown = (
-        (np.abs(by_coordinate[:, opened]) > 0).any(1) if opened else np.zeros(len(names), bool)
-    )
-    unknown |= np.isin(np.arange(len(names)), opened) | (np.diag(covariance) <= 0)
+    follows = np.count_nonzero(by_coordinate[:, opened], axis=1) > 0
+    unknown = follows | np.isin(np.arange(len(names)), opened) | (np.diag(covariance) <= 0)
     stderr = np.sqrt(np.where(unknown, np.nan, np.diag(covariance)))
     covariance[unknown] = covariance[:, unknown] = np.nan
     lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
@@ -63,7 +61,7 @@ def estimates(
             float(values[i]),
             None if unknown[i] else float(stderr[i]),
             fixed=bool(not np.isnan(held[i]) and i not in opened),
-            at_bound=bool(free[i] and at_bound[i]),
+            at_bound=bool(free[i] and at_bound[i] and not follows[i]),
         )
         for i, name in enumerate(names)
         if used[i]
