@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 import godfit
 from godfit import screenshot, unaided
-from godfit.disc import FIRST, DiscLight
+from godfit.disc import FIRST, GAIN, VEIL, DiscLight
 from godfit.inputs import image
 from godfit.likelihood import ANY_LEVEL, deviance_residuals, interval
 from godfit.models import Mitchell
@@ -86,6 +86,31 @@ def test_derivatives_agree_with_differences():
         central = (predict(z + step) - predict(z - step)) / (2 * step[i])
         size = np.abs(found[:, i]).max()
         np.testing.assert_allclose(found[:, i], central, atol=2e-4 * size + 1e-9)
+
+
+def test_the_picture_is_linear_in_what_disc_and_veil_add():
+    model, open_ = disc_model(), jnp.ones(SIZE).at[30:60, 60:75].set(0.0)
+    z = np.array(model.coordinates())
+    # A pixel's own value, which exposure alone scales, knows the veil's share and not its light.
+    z[0] = 1e-9
+    z[FIRST:] = 0
+
+    def picture(disc, veil):
+        at = model.moved(np.concatenate([z[:GAIN], [disc], z[4:VEIL], [veil], z[9:]]))
+        return np.asarray(at(open_, method="reference"))
+
+    both = 2 * picture(0.3, 0.0) + 3 * picture(0.0, 0.05)
+    np.testing.assert_allclose(picture(0.6, 0.15), both, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["veil", "weight"])
+def test_what_is_held_stays_and_the_rest_comes_back(name):
+    model = disc_model()
+    held = np.full(len(model.parameters), np.nan)
+    held[list(model.parameters).index(name)] = float(model.values()[name])
+    again = model.moved(model.coordinates(), held).values()
+    for key, value in model.values().items():
+        np.testing.assert_allclose(again[key], value, rtol=1e-9, err_msg=key)
 
 
 def test_another_colour_and_panels_are_told_from_the_background():
