@@ -26,13 +26,11 @@ from godfit.search import (
     settle,
 )
 from godfit.solver import solve
-from godfit.valley import RIVALS, reseed, rivals
+from godfit.valley import DOUBT, RIVALS, reseed, rivals
 
 CORRECTIONS = 3
 # Pixels, most, that rivals are told apart on.
 RIVAL_PIXELS = 1 << 14
-# Log-likelihood on the subset by which a point may fall behind and still be tried on all pixels.
-DOUBT = 8.0
 CANDIDATES = 3
 # More levels than a wrong dip leaves: the model is another, and no density will do.
 HOPELESS = 6.0

@@ -27,8 +27,8 @@ SHAPE = (
     Parameter("veil", "c", "1", 0.0, 1.0, "what the mask is cleared to; the light is 1"),
 )
 FIRST = len(SCATTERING) + 2 + len(SHAPE)
-# Coordinates of what the disc adds and of what the veil adds.
-GAIN, VEIL = 3, 8
+# Coordinates of density, of what the disc adds and of what the veil adds.
+DENSITY, GAIN, VEIL = 2, 3, 8
 CHANNELS = "rgb"
 # Powers of x and y, each from -1 to 1 over the picture, in order of degree.
 POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))

@@ -104,8 +104,8 @@ def _interval(low: Float[Array, "..."], high: Float[Array, "..."]) -> Interval:
 
 def mills_ratio(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """(1 - Phi(x)) / phi(x) for x >= 0, to rounding: a polynomial in (x - c)/(x + c), c = 3 sqrt 2,
-    as Shepherd & Laframboise (Math. Comp. 36 (1981), 249) take exp(z^2) erfc(z); the logarithm of
-    JAX's log_ndtr, in three branches, takes several times as long."""
+    as Shepherd & Laframboise (Math. Comp. 36 (1981), 249) take exp(z^2) erfc(z); JAX's
+    log_ndtr, in three branches, takes longer."""
     from_infinity = 1 / (x + MILLS_CENTRE)
     t = 1 - 2 * MILLS_CENTRE * from_infinity
     terms = _mills_terms(10 if x.dtype == jnp.float32 else 20)

@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from godfit import banding, screen, search
-from godfit.dips import DOUBT
 from godfit.fitting import pixels_used
 from godfit.inference import misfit
 from godfit.models import AbstractModel, Mitchell
@@ -23,6 +22,7 @@ from godfit.result import FitResult
 from godfit.search import Settled, Tangent
 from godfit.side_by_side import side_by_side
 from godfit.tinted import Tinted
+from godfit.valley import DOUBT
 
 # What DawnTime and Vesper ship, for shaders that publish no defaults.
 SHIPPED = {"decay": 0.99, "density": 0.8, "weight": 0.8}

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from godfit import inputs, screenshot, search
-from godfit.disc import DiscLight
+from godfit.disc import DENSITY, DiscLight
 from godfit.errors import InputError
 from godfit.image import Image
 from godfit.inference import Evidence, evidence
@@ -33,8 +33,6 @@ FAINT = 0.1
 ROUNDS = 25
 # Noise in levels that the copy's answer may be off by, less and less.
 NEAR = (4.0, 2.0, 1.0)
-# The coordinate with dips.
-DENSITY = 2
 # Pixels without which nothing can be told.
 LEAST = 500
 NO_RAYS = (

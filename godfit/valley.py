@@ -27,8 +27,8 @@ SETTLED = 4
 SCAN_PIXELS = 1 << 9
 # Dips either way that are looked into, and how many of them are tried.
 RIVAL_DIPS, RIVALS = 6, 2
-# Log-likelihood on some of the pixels by which a dip that is ahead on all may be behind.
-BEHIND = 8.0
+# Log-likelihood on some of the pixels by which a point that is ahead on all may be behind.
+DOUBT = 8.0
 
 
 def rivals(
@@ -66,7 +66,7 @@ def rivals(
     begun = line[best].astype(np.float32)
     ends = side_by_side(lambda z: solve(z, free, held, model, seen, start.sigma), begun)
     own = float(_costs(jnp.asarray(at[None], jnp.float32), held, model, seen, sigma)[0])
-    return [end.coordinates for end in ends if end.cost < own + BEHIND]
+    return [end.coordinates for end in ends if end.cost < own + DOUBT]
 
 
 @eqx.filter_jit
