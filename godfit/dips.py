@@ -24,11 +24,14 @@ from godfit.search import (
     WITHIN_ROUNDING,
     Settled,
     settle,
+    veil,
 )
 from godfit.solver import solve
 from godfit.valley import DOUBT, RIVALS, reseed, rivals
 
 CORRECTIONS = 3
+# What is blurred needs fewer pixels than what is sharp.
+CORRECTED_PIXELS = 1 << 9
 # Pixels, most, that rivals are told apart on.
 RIVAL_PIXELS = 1 << 14
 CANDIDATES = 3
@@ -59,7 +62,7 @@ def on_subset(
     along, dip, doubtful = _dips(settled, evidence(settled, tangent, seen), model, free)
     if not free[along] or (not doubtful and settled.sigma < 2 * SIGMAS[0]):
         return [settled.coordinates]
-    if settled.sigma > FOREIGN:
+    if settled.sigma > FOREIGN or not _rays(settled, seen):
         return [settled.coordinates]
     say("other densities")
     found = reseed(settled, along, model, picture, free, held, seed)
@@ -84,6 +87,12 @@ def on_subset(
         if apart and other.log_likelihood > found[0].log_likelihood - DOUBT:
             close.append(other)
     return [c.coordinates for c in close[:CANDIDATES]]
+
+
+def _rays(settled: Settled, seen: Observation) -> bool:
+    """Whether the model says more of the pixels than one value everywhere: where it does not, no
+    density can."""
+    return settled.log_likelihood > veil(seen).log_likelihood + DOUBT
 
 
 def _hopeless(settled: Settled, at: Evidence, seen: Observation) -> bool:
@@ -147,7 +156,7 @@ def beat_rivals(
         along, dip, _ = _dips(settled, at, model, free)
         if not free[along] or settled.sigma < WITHIN_ROUNDING:
             break
-        if _hopeless(settled, at, seen):
+        if _hopeless(settled, at, seen) or not _rays(settled, seen):
             break
         before = settled.log_likelihood
         count = min(RIVAL_PIXELS, len(seen.pixels) // 4)
@@ -209,7 +218,7 @@ def correct(
     point is added to the blurred target, as coarse levels are corrected in multigrid (the full
     approximation scheme: Brandt, Math. Comp. 31 (1977), 333).
     """
-    pixels = picture.informative(PIXELS, seed)
+    pixels = picture.informative(CORRECTED_PIXELS, seed)
     lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
     z = start
     for share, _, sigma in LADDER:

@@ -138,16 +138,10 @@ class Ladder:
         return found
 
     def veil(self) -> Rung:
-        """One value everywhere: the mean of the values, and the noise about it."""
-        lo, hi = np.asarray(self.seen.lo), np.asarray(self.seen.hi)
-        known = np.isfinite(lo) & np.isfinite(hi)
-        middle = np.where(known, (np.where(known, lo, 0) + np.where(known, hi, 0)) / 2, 0)
-        level = np.float32(middle[known].mean() if known.any() else 0.0)
-        prediction = np.full(len(lo), level, np.float32)
-        sigma, likelihood = search.best_sigma(prediction, self.seen, search.FINAL_SIGMA_VALUES)
-        at = np.array([level], np.float32)
-        settled = Settled(at, sigma, likelihood, True)
-        ones = np.ones((1, len(lo)), np.float32)
+        """One value everywhere."""
+        settled = search.veil(self.seen)
+        (level,), count = settled.coordinates, len(self.seen.lo)
+        prediction, ones = np.full(count, level), np.ones((1, count), np.float32)
         return Rung(
             "veil", "", None, settled, Tangent(prediction, ones, np.ones(1, np.float32)),
             np.ones(1, bool), np.full(1, np.nan, np.float32), 2,

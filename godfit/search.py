@@ -107,6 +107,16 @@ def best_sigma(
     return sigma, likelihood if math.isfinite(likelihood) else -math.inf
 
 
+def veil(seen: Observation) -> Settled:
+    """One value everywhere, the mean of the values, as the only coordinate, and the noise about
+    it."""
+    lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
+    known = np.isfinite(lo) & np.isfinite(hi)
+    level = np.float32(((lo + hi) / 2)[known].mean() if known.any() else 0.0)
+    sigma, likelihood = best_sigma(np.full(len(lo), level), seen, FINAL_SIGMA_VALUES)
+    return Settled(np.array([level], np.float32), sigma, likelihood, True)
+
+
 _total_at = jax.jit(_total, static_argnames="foreign")
 
 
