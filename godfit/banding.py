@@ -15,9 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from godfit.models import Mitchell
-from godfit.native import compiled
 from godfit.observation import LEVELS, Picture, grey
-from godfit.radial.compiled import scattered
+from godfit.radial.spacings import left
 from godfit.side_by_side import cores, side_by_side
 from godfit.simplify import resampled
 
@@ -65,45 +64,15 @@ class _Scan:
         u, v = self.light
         parts = np.array_split(np.arange(len(tried)), min(len(tried), 4 * cores()))
 
-        def left(part: np.ndarray) -> np.ndarray:
+        def of(part: np.ndarray) -> np.ndarray:
             steps = np.array([tried[i].step for i in part])
             counts = np.array([tried[i].samples - self.drop for i in part])
             numbers = np.zeros((len(part), 5))
             numbers[:, 0], numbers[:, 1] = u * w - 0.5, (1 - v) * h - 0.5
             numbers[:, 2], numbers[:, 3] = np.exp(-self.kappa * steps), steps
-            return _left(self.mask, self.at, numbers, counts, self.shows_own, self.target)
+            return left(self.mask, self.at, numbers, counts, self.shows_own, self.target)
 
-        return np.concatenate(side_by_side(left, parts))
-
-
-@compiled
-def _left(mask, at, numbers, counts, shows_own, target):
-    """(n,) what is left of ``target`` (points,) by sums of ``counts`` taps, each with its
-    ``numbers`` (n, 5), when they and the mask itself at ``at`` (2, points) take the share that
-    leaves the least."""
-    points = at.shape[1]
-    rays, own = np.empty((1, 1, points), np.float32), np.zeros((1, 1, points), np.float32)
-    if shows_own:
-        # The sum with one tap at no distance.
-        nearby = numbers[0].copy()
-        nearby[2], nearby[3] = 1.0, 0.0
-        scattered(mask, at, nearby, 1, own)
-    left = np.empty(len(counts))
-    for i in range(len(counts)):
-        scattered(mask, at, numbers[i], counts[i], rays)
-        aa = ab = bb = ay = by = 0.0
-        for p in range(points):
-            a, b, y = float(own[0, 0, p]), float(rays[0, 0, p]), target[p]
-            aa, ab, bb, ay, by = aa + a * a, ab + a * b, bb + b * b, ay + a * y, by + b * y
-        little = 1e-12 * (aa + bb) + 1e-300
-        aa, bb = aa + little, bb + little
-        determinant = aa * bb - ab * ab
-        of_own, of_rays = (bb * ay - ab * by) / determinant, (aa * by - ab * ay) / determinant
-        left[i] = 0.0
-        for p in range(points):
-            shown = of_own * float(own[0, 0, p]) + of_rays * float(rays[0, 0, p])
-            left[i] += (target[p] - shown) ** 2
-    return left
+        return np.concatenate(side_by_side(of, parts))
 
 
 def other_samples(model: Mitchell, picture: Picture, seed: int = 0) -> Mitchell | None:

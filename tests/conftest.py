@@ -50,6 +50,7 @@ COMPILED = (
     "godfit.flatland.compiled_cascades",
     "godfit.radial.compiled",
     "godfit.radial.foreign",
+    "godfit.radial.spacings",
 )
 compiled = {name: importlib.import_module(name) for name in COMPILED}
 for name in [n for n in sys.modules if n.split(".")[0] == "godfit"]:

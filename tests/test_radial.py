@@ -9,6 +9,7 @@ import oracle
 import pytest
 
 from godfit import radial
+from godfit.radial.spacings import left
 from godfit.taps import Taps, convention
 
 # godfit.radial.pairs the module; the package has a function of that name.
@@ -153,3 +154,28 @@ def test_others_refuse_uv_steps(method):
 def test_unknown_method():
     with pytest.raises(ValueError, match=r"expected auto or one of reference, pairs, .* got 'fft'"):
         radial_sum(jnp.ones((3, 3)), jnp.array([0.5, 0.5]), TAPS, method="fft")
+
+
+@pytest.mark.parametrize("shows_own", [True, False], ids=["own pixel", "rays alone"])
+def test_what_spacings_leave_of_a_target_is_what_least_squares_leave(shows_own):
+    rng, (h, w) = np.random.default_rng(8), (11, 13)
+    mask, light = rng.random((h, w)), np.array([0.3, 0.6])
+    at, target = rng.uniform(0, 10, (2, 40)), rng.random(40)
+    counts, steps, ratios = [7, 12, 30], [0.12, 0.07, 0.031], [0.9, 0.97, 0.99]
+    place = light[0] * w - 0.5, (1 - light[1]) * h - 0.5
+    numbers = np.array([[*place, r, s, 0.0] for r, s in zip(ratios, steps, strict=True)])
+    padded = np.pad(mask, ((1, 1), (1, 2)), mode="edge")
+
+    found = left(padded.astype(np.float32), at, numbers, np.array(counts), shows_own, target)
+
+    for squares, count, step, ratio in zip(found, counts, steps, ratios, strict=True):
+        made = [(1.0, 0.0), (0.0, 1.0)] if shows_own else [(0.0, 1.0)]
+        columns = np.stack(
+            [
+                radial_sum(mask, light, Taps(own, first, ratio, step, count), at=at.T)
+                for own, first in made
+            ],
+            -1,
+        )
+        _, expected, _, _ = np.linalg.lstsq(columns, target)
+        agree(squares, expected[0], 1e-5)
