@@ -189,8 +189,9 @@ def _fit(
             images["occluder"] = inputs.image(occluder, "none")
             blocked = inputs.blocked(images["occluder"], images["target"])
         found, notes = unaided.found_in(
-            images["target"], shading, valid, blocked, pass_scale, fix, start, seed, say
-        )
+            images["target"], shading, valid, blocked, settings.get("pass_scale"), fix, start,
+            seed, say,
+        )  # fmt: skip
         return _concluded(found, notes, images, (began, compiled), seed)
     if scene is not None:
         scene = inputs.scene_for(scene, images["target"], pass_scale)

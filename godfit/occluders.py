@@ -30,10 +30,10 @@ def refined(
     rows: int,
     seed: int,
 ) -> np.ndarray:
-    """(h, w) how open every pixel is: ``picture.mask`` where it is known, between 0 and 1 where
-    ``unknown``, by so many pixels (``rows``) of the picture. All are (h, w) and of its own
-    size."""
-    h, w = picture.size
+    """(h, w) how open every texel is: ``picture.mask`` where it is known, between 0 and 1 where
+    ``unknown``, by so many pixels (``rows``) of the picture. All are (h, w), the light pass's
+    size, which may be less than the picture's."""
+    h, w = picture.mask.shape[:2]
     columns = np.flatnonzero(unknown)
     usable = np.flatnonzero(picture.valid & ~picture.clipped)
     if not len(columns) or len(usable) < 100:
@@ -41,13 +41,13 @@ def refined(
     rng = np.random.default_rng(seed)
     pixels = np.sort(rng.permutation(usable)[:rows])
     k, c = model.background.shape
-    back = np.array(terms(jnp.asarray(pixels), (h, w), k) @ model.background)
+    back = np.array(terms(jnp.asarray(pixels), picture.size, k) @ model.background)
     back *= model.convention.background_gain
     light = picture.levels.reshape(-1, c)[pixels] / LEVELS - back
     if model.convention.blend == "screen":
         light /= np.maximum(1 - back, 0.05)
     goal = light.mean(1).astype(np.float64)
-    sums = _sums(model, pixels, (h, w))
+    sums = _sums(model, pixels, picture.size, (h, w))
     known = np.where(unknown, 0.0, picture.mask).reshape(-1)
     goal = (goal - sums @ known) * LEVELS
     design = (sums.tocsc()[:, columns] * LEVELS).tocsr()
@@ -80,25 +80,50 @@ def _bounded(design, goal, weight, thought, start) -> np.ndarray:
     return share
 
 
-def _sums(model: DiscLight, pixels: np.ndarray, size: tuple[int, int]) -> sparse.csr_matrix:
-    """(pixels, h w): what every texel's openness adds to the light pass at ``pixels``."""
+def _sums(
+    model: DiscLight, pixels: np.ndarray, size: tuple[int, int], low: tuple[int, int]
+) -> sparse.csr_matrix:
+    """(pixels, h w): what every texel's openness adds to the light pass, of ``low`` (h, w) and read
+    bilinearly, at ``pixels`` of a picture of ``size``."""
+    (height, width), (h, w) = size, low
+    if size == low:
+        return _texel_sums(model, pixels, low)
+    x = (pixels % width + 0.5) * w / width - 0.5
+    y = (pixels // width + 0.5) * h / height - 0.5
+    read, share = _bilinear(x[:, None], y[:, None], low)
+    needed, column = np.unique(read, return_inverse=True)
+    starts = np.arange(len(pixels) + 1) * 4
+    shape = (len(pixels), len(needed))
+    mixed = sparse.csr_matrix((share.ravel(), column.ravel(), starts), shape)
+    return sparse.csr_matrix(mixed @ _texel_sums(model, needed, low))
+
+
+def _texel_sums(model: DiscLight, texels: np.ndarray, size: tuple[int, int]) -> sparse.csr_matrix:
+    """(texels, h w): the same at texels of the light pass itself, of ``size``."""
     h, w = size
     (taps,) = model.taps
     lit = np.asarray(model.occlusion(jnp.ones(size)), np.float64).reshape(-1)
     light = np.asarray(model.light[0], np.float64)
-    row, column = pixels // w, pixels % w
+    row, column = texels // w, texels % w
     t = np.concatenate([[0.0], np.asarray(taps.t, np.float64)])
     c = np.concatenate([[float(taps.own)], np.asarray(taps.c, np.float64)])
     x = column[:, None] + t * (light[0] * w - 0.5 - column[:, None])
     y = row[:, None] + t * ((1 - light[1]) * h - 0.5 - row[:, None])
+    read, share = _bilinear(x, y, size)
+    share *= np.tile(c, 4) * lit[read]
+    starts = np.arange(len(texels) + 1) * read.shape[1]
+    return sparse.csr_matrix((share.ravel(), read.ravel(), starts), (len(texels), h * w))
+
+
+def _bilinear(x: np.ndarray, y: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 4 k) texels of an image of ``size`` that are read at columns ``x`` and rows ``y`` (n, k),
+    and their shares."""
+    h, w = size
     i, j = np.floor(x).astype(int), np.floor(y).astype(int)
     fx, fy = x - i, y - j
     texels, shares = [], []
     for dj, share_y in ((0, 1 - fy), (1, fy)):
         for di, share_x in ((0, 1 - fx), (1, fx)):
-            texel = np.clip(j + dj, 0, h - 1) * w + np.clip(i + di, 0, w - 1)
-            texels.append(texel)
-            shares.append(c * share_x * share_y * lit[texel])
-    texel, share = np.concatenate(texels, 1), np.concatenate(shares, 1)
-    starts = np.arange(len(pixels) + 1) * texel.shape[1]
-    return sparse.csr_matrix((share.ravel(), texel.ravel(), starts), (len(pixels), h * w))
+            texels.append(np.clip(j + dj, 0, h - 1) * w + np.clip(i + di, 0, w - 1))
+            shares.append(share_x * share_y)
+    return np.concatenate(texels, 1), np.concatenate(shares, 1)

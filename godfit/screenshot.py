@@ -69,13 +69,14 @@ class Reading(NamedTuple):
 
 
 class Look(NamedTuple):
-    """Where the search ended: coordinates, the picture with its mask refined, other masks (h, w)
-    that could as well be right, starts that agreed of those tried, and how much of what varies the
-    light explains (1 all)."""
+    """Where the search ended: coordinates, the picture with its mask refined, the mask as the
+    small copy had it, other masks that could as well be right, starts that agreed of those tried,
+    and how much of what varies the light explains (1 all)."""
 
     coordinates: np.ndarray
     model: DiscLight
     picture: Picture
+    coarse: np.ndarray
     rivals: tuple[np.ndarray, ...]
     starts_agreed: tuple[int, int]
     explained: float
@@ -199,6 +200,7 @@ def look(
     ended = [_with_shadows(p, small, prior, SIGMAS, *args) for p, prior in trials]
     point, mask = min(ended, key=lambda e: e[0].cost)
     agreed = sum(_near(p, point) for p in points)
+    coarse = _enlarged(mask, small.mask, picture.mask)
     if small.size != picture.size:
         say("a finer copy")
         finer = picture.shrunk(-(-max(picture.size) // (2 * SIDE)))
@@ -214,7 +216,8 @@ def look(
     fine = dataclasses.replace(picture, mask=_enlarged(mask, small.mask, picture.mask))
     full = template(shading, picture.channels, reading.degree)
     z = np.asarray(model.moved(point.coordinates, still).coordinates(), np.float32)
-    return Look(z, full, fine, _rivals(fine.mask, picture.mask), (agreed, len(points)), share)
+    rivals = _rivals(fine.mask, picture.mask)
+    return Look(z, full, fine, coarse, rivals, (agreed, len(points)), share)
 
 
 def _rivals(mask: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, ...]:

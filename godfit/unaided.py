@@ -7,7 +7,8 @@ settled on blocks of the whole picture under a likelihood with heavy tails.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,9 +20,11 @@ from godfit.errors import InputError
 from godfit.image import Image
 from godfit.inference import Evidence, evidence
 from godfit.models import Mitchell
-from godfit.observation import Observation, Picture
+from godfit.observation import Observation, Picture, shrink
+from godfit.occluders import refined
 from godfit.screenshot import predicted
-from godfit.solver import solve, solve_tangent
+from godfit.solver import Point, solve, solve_tangent
+from godfit.valley import DOUBT
 from godfit.verdict import Found
 
 # Of what varies in a picture, the share that light must explain to be called rays. Photographs,
@@ -33,12 +36,18 @@ FAINT = 0.1
 ROUNDS = 25
 # Noise in levels that the copy's answer may be off by, less and less.
 NEAR = (4.0, 2.0, 1.0)
+# Turns of shadows and light, before and after the size of the light pass is decided; pixels that
+# shadows are found by, and the share of the cost that is worth another turn.
+SOME, TURNS, SHADOWED, WORTH = 2, 6, 1 << 14, 0.02
+# The size of a light pass that is tried beside the picture's own.
+HALF = 0.5
 # Pixels without which nothing can be told.
 LEAST = 500
 NO_RAYS = (
     "no rays were found: a light explains {:.0f}% of what varies in this picture, a smooth "
     "background the rest"
 )
+COARSE = "the light pass looks half the picture's size; give --pass-scale to say otherwise"
 DISAGREE = "only {} of {} starts agree on the light: look at fit.png; give --start light_x=..."
 HIDDEN = (
     "the light's disc is clipped or hidden: radius, veil and exposure trade, and glare may hide "
@@ -51,14 +60,15 @@ def found_in(
     shading: Mitchell,
     valid: np.ndarray | None,
     occluder: np.ndarray | None,
-    pass_scale: float,
+    pass_scale: float | None,
     fix: Mapping[str, float | None],
     start: Mapping[str, float],
     seed: int,
     say: Callable[[str], None],
 ) -> tuple[Found, tuple[str, ...]]:
     """What was found, and notes. ``valid`` and ``occluder`` are (h, w): where to look, and where
-    something is known to stand in the way. Raises InputError for what cannot be read so."""
+    something is known to stand in the way; ``pass_scale`` is asked of the picture where it is not
+    given. Raises InputError for what cannot be read so."""
     if shading.convention.box:
         raise InputError(
             f"mask: expected one with the shader '{shading.shader}', got none; give --mask"
@@ -86,9 +96,8 @@ def found_in(
     looked = screenshot.look(reading, shading, given, held_by, seed, say)
     model, picture = looked.model, looked.picture
     opened: list[tuple[int, list[int]]] = []
-    picture = dataclasses.replace(
-        picture, mask=inputs.shrink_mask(np.asarray(picture.mask), pass_scale)
-    )
+    open_ = np.asarray(picture.mask)
+    picture = dataclasses.replace(picture, mask=inputs.shrink_mask(open_, pass_scale or 1.0))
     free = np.isnan(held) & model.used
     if free[screenshot.EDGE]:
         held[screenshot.EDGE], free[screenshot.EDGE] = screenshot.SHARP, False
@@ -102,11 +111,27 @@ def found_in(
     say(f"{len(seen.pixels):,} pixels")
     rays = looked.explained > RAYS
     rounds = ROUNDS if rays else 1
+    begin = _Read(Point(looked.coordinates, np.inf, False, 0), picture.mask, seen)
     # At some noise first: where a copy's answer is a little off, rays must not pass for foreign.
-    z = looked.coordinates
-    for sigma in NEAR if rays else NEAR[-1:]:
-        z = solve(z, free, held, model, seen, sigma).coordinates
-    settled, tangent = search.settle(z, model, seen, free, held, rounds=rounds)
+    noises = NEAR if rays else NEAR[-1:]
+    first = _solved(begin, noises, free, held, model)
+    point = first.point
+    if rays and pass_scale is None:
+        say("a light pass of half the size")
+        args = (model, picture, reading.unknown, free, held, seed)
+        whole = _in_turns(first, SOME, *args)
+        # On a copy of that size shadows were those of such a pass.
+        smaller = (inputs.shrink_mask(mask, HALF) for mask in (open_, looked.coarse))
+        halved = [_solved(begin.with_mask(mask), NEAR, free, held, model) for mask in smaller]
+        nearest = min(halved, key=lambda read: read.point.cost)
+        half = _in_turns(nearest, SOME, *args)
+        if half.point.cost < whole.point.cost - DOUBT:
+            # Its shadows are other ones; those of a pass as large as the picture are known.
+            pass_scale, first = HALF, nearest
+            point, mask, seen = _in_turns(half, TURNS, *args)
+            picture = dataclasses.replace(picture, mask=mask)
+            notes += (COARSE,)
+    settled, tangent = search.settle(point.coordinates, model, seen, free, held, rounds=rounds)
     at = _with_ranges(evidence(settled, tangent, seen), model.ranges(settled.coordinates))
     found = Found(model, picture, seen, settled, at, free, held, opened, False)
     found.starts_agreed = looked.starts_agreed
@@ -116,16 +141,69 @@ def found_in(
         remarks.append(DISAGREE.format(*looked.starts_agreed))
     if hidden:
         remarks.append(HIDDEN)
-    shifts = [
-        _shift(settled, tangent, model, seen, free, held, inputs.shrink_mask(mask, pass_scale))
-        for mask in looked.rivals
-    ]
+    shifts = []
+    for mask in looked.rivals:
+        # As far from what was found as the rival is from what was first thought.
+        rival = picture.mask + inputs.shrink_mask(mask, pass_scale or 1.0) - first.mask
+        shifts.append(
+            _shift(settled, tangent, model, seen, free, held, rival.clip(0, 1).astype(np.float32))
+        )
+    # A mask that may explain more takes the light with it.
+    shifts.append(np.where(free, point.coordinates - first.point.coordinates, 0.0))
     if free[DENSITY]:
         shifts.append(_next_dip(settled, at.covariance(free), model.samples))
     found = dataclasses.replace(
         found, remarks=tuple(remarks), objection=objection, shifts=tuple(shifts)
     )
     return found, notes
+
+
+class _Read(NamedTuple):
+    """Where a solve ended, with the mask (h, w), of the light pass's size, that it was of."""
+
+    point: Point
+    mask: np.ndarray
+    seen: Observation
+
+    def with_mask(self, mask: np.ndarray) -> _Read:
+        return _Read(self.point, mask, dataclasses.replace(self.seen, mask=jnp.asarray(mask)))
+
+
+def _solved(
+    read: _Read, noises: Sequence[float], free: np.ndarray, held: np.ndarray, model: DiscLight
+) -> _Read:
+    """Solved with one noise (levels) after the other allowed for."""
+    point = read.point
+    for sigma in noises:
+        point = solve(point.coordinates, free, held, model, read.seen, sigma)
+    return read._replace(point=point)
+
+
+def _in_turns(
+    read: _Read,
+    turns: int,
+    model: DiscLight,
+    picture: Picture,
+    unknown: np.ndarray,
+    free: np.ndarray,
+    held: np.ndarray,
+    seed: int,
+) -> _Read:
+    """Shadows and light in turn for as long as it helps. What is ``unknown`` (h, w) becomes what
+    explains the rays best: the stairs of a disc that was drawn without anti-aliasing, too."""
+    thought = read.mask
+    unknown = shrink(unknown.astype(np.float32), thought.shape[:2]) > 0
+    for _ in range(turns):
+        at = model.moved(read.point.coordinates, held)
+        known = dataclasses.replace(picture, mask=read.mask)
+        mask = refined(at, known, unknown, thought, SHADOWED, seed)
+        there = _solved(read.with_mask(mask), NEAR[-1:], free, held, model)
+        gained = 1 - there.point.cost / read.point.cost
+        if gained > 0:
+            read = there
+        if not gained > WORTH:
+            break
+    return read
 
 
 def _next_dip(settled: search.Settled, covariance: np.ndarray, samples: int) -> np.ndarray:

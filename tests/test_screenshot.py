@@ -13,7 +13,7 @@ from scipy.stats import norm
 import godfit
 from godfit import screenshot, unaided
 from godfit.disc import FIRST, GAIN, VEIL, DiscLight
-from godfit.inputs import image
+from godfit.inputs import image, shrink_mask
 from godfit.likelihood import ANY_LEVEL, deviance_residuals, interval
 from godfit.models import Mitchell
 from godfit.observation import Picture
@@ -134,20 +134,24 @@ def test_another_colour_and_panels_are_told_from_the_background():
     assert np.abs(np.array([left, top, wide, tall]) - [120, 5, 35, 40]).max() <= 1
 
 
-def test_shadows_give_away_an_object_that_nothing_else_does():
-    """An object of the background's own colour: with the light known, its shadow places it."""
+@pytest.mark.parametrize("scale", [1.0, 0.5], ids=["whole", "half"])
+def test_shadows_give_away_an_object_that_nothing_else_does(scale):
+    """An object of the background's own colour: with the light known, its shadow places it, in a
+    light pass of the picture's size or of half."""
     model, h, w = disc_model(), *SIZE
     open_ = np.ones(SIZE, np.float32)
     open_[28:46, 76:88] = 0
+    unknown = np.zeros(SIZE, np.float32)
+    unknown[15:60, 60:100] = 1
+    open_, unknown = shrink_mask(open_, scale), shrink_mask(unknown, scale) > 0
     every = jnp.arange(h * w)
     levels = 255 * np.asarray(model(jnp.asarray(open_), size=SIZE, pixels=every)).reshape(h, w, 3)
     levels = np.round(levels).clip(0, 255).astype(np.float32)
-    nothing_known = np.ones(SIZE, np.float32)
+    nothing_known = np.ones_like(open_)
     picture = Picture(levels, 0.5, np.ones(SIZE, bool), nothing_known, None, "none")
-    unknown = np.zeros(SIZE, bool)
-    unknown[15:60, 60:100] = True
     found = refined(model, picture, unknown, nothing_known, 4000, 0)
-    assert found[32:42, 78:84].mean() < 0.25
+    inner = slice(int(32 * scale), int(42 * scale)), slice(int(78 * scale), int(84 * scale))
+    assert found[inner].mean() < 0.25
     assert found[unknown & (open_ == 1)].mean() > 0.85
 
 
@@ -240,6 +244,45 @@ def test_without_rays_a_fit_does_not_converge(screen, looks, monkeypatch):
     result = godfit.fit(screen.image, shader="dawntime", samples=samples, valid=valid)
     assert not result.converged
     assert "no rays were found" in result.message
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.5], ids=["whole", "half"])
+def test_the_size_of_the_light_pass_is_found(scale, monkeypatch):
+    """And, where it is smaller, its shadows: from a mask whose object is a pixel too small."""
+    model, h, w = disc_model(samples=25), *SIZE
+    open_ = np.ones(SIZE, np.float32)
+    open_[31:46, 75:89] = 0
+    low = jnp.asarray(shrink_mask(open_, scale))
+    levels = 255 * np.asarray(model(low, size=SIZE, pixels=jnp.arange(h * w))).reshape(h, w, 3)
+    target = np.round(levels).clip(0, 255).astype(np.uint8)
+    reading = screenshot.read(image(target, "none"), None, None)
+    thought = np.ones(SIZE, np.float32)
+    thought[32:45, 76:88] = 0
+    unknown = np.zeros(SIZE, bool)
+    unknown[25:52, 69:95] = True
+    silent = np.zeros(SIZE, bool)
+    silent[28:49, 72:92] = True
+    picture = dataclasses.replace(reading.picture, mask=thought, valid=~silent)
+    reading = reading._replace(picture=picture, unknown=unknown, degree=0)
+    found = screenshot.Look(
+        np.asarray(model.coordinates(), np.float32),
+        model,
+        picture,
+        thought,
+        (),
+        (3, 3),
+        0.9,
+    )
+    monkeypatch.setattr(screenshot, "read", lambda *_: reading)
+    monkeypatch.setattr(screenshot, "look", lambda *_: found)
+    held = {"edge": 0.01, "exposure": 0.05}
+    result = godfit.fit(target, shader="dawntime", samples=25, fix=held)
+    size = int(h * scale), int(w * scale)
+    assert result.picture.mask.shape == size
+    assert any("light pass" in note for note in result.notes) == (scale < 1)
+    if scale < 1:
+        before = np.abs(shrink_mask(thought, scale) - low).mean()
+        assert np.abs(result.picture.mask - low).mean() < 0.8 * before
 
 
 def test_blocks_hold_neighbours_and_are_as_many_as_asked():
