@@ -20,6 +20,8 @@ ROUNDS, STEPS = 3, 40
 # Levels at which a pixel that is off no longer counts in full, and at which the pull to the prior
 # is worth as much as one pixel of the picture.
 HUBER, PULL = 1.0, 3.0
+# Taps that are held at once, most: some hundred bytes each.
+HELD = 1 << 22
 
 
 def refined(
@@ -39,7 +41,7 @@ def refined(
     if not len(columns) or len(usable) < 100:
         return picture.mask
     rng = np.random.default_rng(seed)
-    pixels = np.sort(rng.permutation(usable)[:rows])
+    pixels = np.sort(rng.permutation(usable)[: min(rows, _affordable(model, picture.size, (h, w)))])
     k, c = model.background.shape
     back = np.array(terms(jnp.asarray(pixels), picture.size, k) @ model.background)
     back *= model.convention.background_gain
@@ -61,6 +63,15 @@ def refined(
     out = picture.mask.reshape(-1).copy()
     out[columns] = share
     return out.reshape(h, w).astype(np.float32)
+
+
+def _affordable(model: DiscLight, size: tuple[int, int], low: tuple[int, int]) -> int:
+    """Pixels whose taps may be held at once; where the light pass is smaller, each reads four of
+    its texels, of which there are only so many."""
+    most = HELD // (model.samples + 1)
+    if size == low:
+        return most
+    return size[0] * size[1] if low[0] * low[1] <= most else most // 4
 
 
 def _bounded(design, goal, weight, thought, start) -> np.ndarray:
@@ -119,7 +130,7 @@ def _bilinear(x: np.ndarray, y: np.ndarray, size: tuple[int, int]) -> tuple[np.n
     """(n, 4 k) texels of an image of ``size`` that are read at columns ``x`` and rows ``y`` (n, k),
     and their shares."""
     h, w = size
-    i, j = np.floor(x).astype(int), np.floor(y).astype(int)
+    i, j = np.floor(x).astype(np.int32), np.floor(y).astype(np.int32)
     fx, fy = x - i, y - j
     texels, shares = [], []
     for dj, share_y in ((0, 1 - fy), (1, fy)):
