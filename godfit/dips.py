@@ -152,11 +152,13 @@ def beat_rivals(
 ) -> tuple[Settled, Evidence]:
     """The likeliest of the dips around, on all pixels of ``seen``. With noise a wrong dip looks as
     good as the right one until they are held against each other."""
+    if settled.sigma < WITHIN_ROUNDING or not _rays(settled, seen):
+        return settled, at
     for _ in range(MAX_RIVALRIES):
         along, dip, _ = _dips(settled, at, model, free)
         if not free[along] or settled.sigma < WITHIN_ROUNDING:
             break
-        if _hopeless(settled, at, seen) or not _rays(settled, seen):
+        if _hopeless(settled, at, seen):
             break
         before = settled.log_likelihood
         count = min(RIVAL_PIXELS, len(seen.pixels) // 4)

@@ -70,14 +70,13 @@ class Reading(NamedTuple):
 
 class Look(NamedTuple):
     """Where the search ended: coordinates, the picture with its mask refined, the mask as the
-    small copy had it, other masks that could as well be right, starts that agreed of those tried,
-    and how much of what varies the light explains (1 all)."""
+    small copy had it, starts that agreed of those tried, and how much of what varies the light
+    explains (1 all)."""
 
     coordinates: np.ndarray
     model: DiscLight
     picture: Picture
     coarse: np.ndarray
-    rivals: tuple[np.ndarray, ...]
     starts_agreed: tuple[int, int]
     explained: float
 
@@ -216,17 +215,7 @@ def look(
     fine = dataclasses.replace(picture, mask=_enlarged(mask, small.mask, picture.mask))
     full = template(shading, picture.channels, reading.degree)
     z = np.asarray(model.moved(point.coordinates, still).coordinates(), np.float32)
-    rivals = _rivals(fine.mask, picture.mask)
-    return Look(z, full, fine, coarse, rivals, (agreed, len(points)), share)
-
-
-def _rivals(mask: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Masks as likely as ``mask``: objects a pixel smaller or larger, and as first seen."""
-    return (
-        np.asarray(ndimage.maximum_filter(mask, 3)),
-        np.asarray(ndimage.minimum_filter(mask, 3)),
-        first,
-    )
+    return Look(z, full, fine, coarse, (agreed, len(points)), share)
 
 
 def blocks(picture: Picture, seed: int) -> np.ndarray:

@@ -142,7 +142,7 @@ def found_in(
     if hidden:
         remarks.append(HIDDEN)
     shifts = []
-    for mask in looked.rivals:
+    for mask in _rivals(open_, np.asarray(reading.picture.mask)):
         # As far from what was found as the rival is from what was first thought.
         rival = picture.mask + inputs.shrink_mask(mask, pass_scale or 1.0) - first.mask
         shifts.append(
@@ -204,6 +204,15 @@ def _in_turns(
         if not gained > WORTH:
             break
     return read
+
+
+def _rivals(mask: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Masks as likely as ``mask``: objects a pixel smaller or larger, and as first seen."""
+    return (
+        np.asarray(ndimage.maximum_filter(mask, 3)),
+        np.asarray(ndimage.minimum_filter(mask, 3)),
+        first,
+    )
 
 
 def _next_dip(settled: search.Settled, covariance: np.ndarray, samples: int) -> np.ndarray:

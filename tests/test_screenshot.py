@@ -264,15 +264,8 @@ def test_the_size_of_the_light_pass_is_found(scale, monkeypatch):
     silent[28:49, 72:92] = True
     picture = dataclasses.replace(reading.picture, mask=thought, valid=~silent)
     reading = reading._replace(picture=picture, unknown=unknown, degree=0)
-    found = screenshot.Look(
-        np.asarray(model.coordinates(), np.float32),
-        model,
-        picture,
-        thought,
-        (),
-        (3, 3),
-        0.9,
-    )
+    z = np.asarray(model.coordinates(), np.float32)
+    found = screenshot.Look(z, model, picture, thought, (3, 3), 0.9)
     monkeypatch.setattr(screenshot, "read", lambda *_: reading)
     monkeypatch.setattr(screenshot, "look", lambda *_: found)
     held = {"edge": 0.01, "exposure": 0.05}
