@@ -88,6 +88,29 @@ def test_whole_pixels_are_met_exactly(method):
     )
 
 
+@pytest.mark.parametrize("light", oracle.LIGHTS.values(), ids=oracle.LIGHTS)
+def test_points_in_a_row(light):
+    """Runs shorter and longer than a tile, on and between rows, over the border, among others."""
+    rng = np.random.default_rng(9)
+    mask = np.kron(oracle.hard_mask(5, 20, seed=6), np.ones((8, 8)))
+    runs = [(0, 160, 3.0), (10, 31, 4.0), (-3, 40, 4.0), (20.25, 70, 20.5), (100, 64, 39.0)]
+    at = [np.stack([start + np.arange(n), np.full(n, row)], -1) for start, n, row in runs]
+    at = jnp.asarray(np.concatenate([at[0], rng.uniform(0, 40, (7, 2)), *at[1:]]))
+    taps = Taps(0.3, 0.21, 0.93, 0.0239, 40)
+
+    def image(light, ratio, method):
+        changed = Taps(taps.own, taps.first, ratio, taps.step, taps.count)
+        return radial_sum(jnp.asarray(mask), light, changed, at=at, method=method)
+
+    def everything(method):
+        arguments = jnp.array(light), jnp.asarray(taps.ratio)
+        slopes = jax.jacfwd(image, (0, 1))(*arguments, method)
+        return image(*arguments, method), *slopes
+
+    for actual, expected in zip(everything("strips"), everything("reference"), strict=True):
+        agree(actual, expected, 1e-11 * np.abs(expected).max())
+
+
 @pytest.mark.parametrize("block", [10, 143, 144])
 def test_pairs_beyond_one_block(monkeypatch, block):
     """Blocks that do and do not divide the 143 points, in value and derivative."""

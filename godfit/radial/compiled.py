@@ -67,8 +67,8 @@ def _reach(step, lag, count, size):
 
 @_compiled
 def _tile(mask, flat, numbers, count, top, left, rows, total, level, strip, slope, column, row):
-    """The sums of ``rows`` x WIDE pixels from (top, left) on in ``total``, but for ``level``, what
-    flat taps add to S and S_r everywhere."""
+    """The sums of ``rows`` x WIDE pixels from (top, left) on, added to ``total``, but for what flat
+    taps add to S and S_r everywhere, which is added to ``level``."""
     real = mask.dtype.type
     one = np.uint64(1)
     light_x, light_y, ratio, step, lag = _doubles(numbers)
@@ -91,7 +91,7 @@ def _tile(mask, flat, numbers, count, top, left, rows, total, level, strip, slop
             place = _clip(scale * (left + x) + shift_x, last_column)
             whole = np.floor(place)
             column[0][x], column[1][x] = np.uint64(whole + 1), real(place - whole)
-        for y in range(HIGH):
+        for y in range(np.uint64(rows)):
             place = _clip(scale * (top + y) + shift_y, last_row)
             whole = np.floor(place)
             row[0][y], row[1][y] = np.uint64(max(whole + 1 - first, 0.0)), real(place - whole)
@@ -147,7 +147,7 @@ def _rows(mask, flat, numbers, count, begin, out):
             total[:] = 0
             level[:] = 0
             _tile(
-                mask, flat, numbers, count, begin + top, left, high,
+                mask, flat, numbers, count, float(begin + top), float(left), high,
                 total, level, strip, slope, column, row,
             )  # fmt: skip
             wide = min(WIDE, width - left)
@@ -159,58 +159,95 @@ def _rows(mask, flat, numbers, count, begin, out):
 
 
 @_compiled
-def scattered(mask, at, numbers, count, out):
+def _run(at, begin):
+    """How many points from ``begin`` on, at most WIDE, follow each other in a row."""
+    length = 1
+    while (
+        length < min(WIDE, at.shape[1] - begin)
+        and at[1, begin + length] == at[1, begin]
+        and at[0, begin + length] == at[0, begin] + length
+    ):
+        length += 1
+    return length
+
+
+@_compiled
+def scattered(mask, flat, at, numbers, count, out):
     """``out`` (1 or 4, 1, points) at columns and rows ``at`` (2, points)."""
     real = mask.dtype.type
-    texels, next_row, one = mask.reshape(-1), np.uint64(mask.shape[1]), np.uint64(1)
-    light_x, light_y, ratio, step, lag = _doubles(numbers)
-    last_row, last_column = mask.shape[0] - 3.0, mask.shape[1] - 4.0
     sums, points = out.shape[0], out.shape[2]
     if not np.isfinite(numbers).all():
         out[:] = np.nan
         return
-    total = np.empty((4, GROUP), mask.dtype)
+    strip, slope = np.empty((2, WIDE), mask.dtype), np.empty((2, WIDE), mask.dtype)
+    column = np.empty(WIDE, np.uint64), np.empty(WIDE, mask.dtype)
+    row = np.empty(1, np.uint64), np.empty(1, mask.dtype)
+    total = np.empty((sums, 1, WIDE), mask.dtype)
+    level = np.empty(2)
+    begin = 0
+    while begin < points:
+        run = _run(at, begin)
+        total[:] = 0
+        level[:] = 0
+        if run >= GROUP:
+            _tile(
+                mask, flat, numbers, count, float(at[1, begin]), float(at[0, begin]), 1,
+                total, level, strip, slope, column, row,
+            )  # fmt: skip
+        else:
+            run = min(GROUP, points - begin)
+            _group(mask, at, numbers, count, begin, total)
+        for s in range(sums):
+            add = real(level[s]) if s < 2 else real(0)
+            for p in range(run):
+                out[s, 0, begin + p] = total[s, 0, p] + add
+        begin += run
+
+
+@_compiled
+def _group(mask, at, numbers, count, begin, total):
+    """The sums of GROUP points from ``begin`` on, wherever they lie, added to ``total``."""
+    real = mask.dtype.type
+    texels, next_row, one = mask.reshape(-1), np.uint64(mask.shape[1]), np.uint64(1)
+    light_x, light_y, ratio, step, lag = _doubles(numbers)
+    last_row, last_column = mask.shape[0] - 3.0, mask.shape[1] - 4.0
     x, y = np.empty(GROUP), np.empty(GROUP)
     texel = np.empty(GROUP, np.uint64)
     across, down = np.empty(GROUP, mask.dtype), np.empty(GROUP, mask.dtype)
-    for begin in range(0, points, GROUP):
+    for p in range(GROUP):
+        last = min(begin + p, at.shape[1] - 1)
+        x[p], y[p] = at[0, last], at[1, last]
+    weight, before = 1.0, 0.0
+    for k in range(1, count + 1):
+        t = (k - lag) * step
+        c, c_r, c_t = real(weight), real((k - 1) * before), real(weight * (k - lag))
+        before = weight
+        weight *= ratio
         for p in range(GROUP):
-            x[p], y[p] = at[0, min(begin + p, points - 1)], at[1, min(begin + p, points - 1)]
-        total[:] = 0
-        weight, before = 1.0, 0.0
-        for k in range(1, count + 1):
-            t = (k - lag) * step
-            c, c_r, c_t = real(weight), real((k - 1) * before), real(weight * (k - lag))
-            before = weight
-            weight *= ratio
-            for p in range(GROUP):
-                column = _clip(x[p] + t * (light_x - x[p]), last_column)
-                row = _clip(y[p] + t * (light_y - y[p]), last_row)
-                i, j = np.floor(column), np.floor(row)
-                texel[p] = np.uint64((j + 1) * mask.shape[1] + (i + 1))
-                across[p], down[p] = real(column - i), real(row - j)
-            if sums == 1:
-                for p in range(GROUP):
-                    n, f = texel[p], across[p]
-                    upper = texels[n] + f * (texels[n + one] - texels[n])
-                    n += next_row
-                    lower = texels[n] + f * (texels[n + one] - texels[n])
-                    total[0, p] += c * (upper + down[p] * (lower - upper))
-                continue
+            column = _clip(x[p] + t * (light_x - x[p]), last_column)
+            row = _clip(y[p] + t * (light_y - y[p]), last_row)
+            i, j = np.floor(column), np.floor(row)
+            texel[p] = np.uint64((j + 1) * mask.shape[1] + (i + 1))
+            across[p], down[p] = real(column - i), real(row - j)
+        if total.shape[0] == 1:
             for p in range(GROUP):
                 n, f = texel[p], across[p]
-                top, top_slope = texels[n], texels[n + one] - texels[n]
+                upper = texels[n] + f * (texels[n + one] - texels[n])
                 n += next_row
-                low, low_slope = texels[n], texels[n + one] - texels[n]
-                upper, lower = top + f * top_slope, low + f * low_slope
-                value = upper + down[p] * (lower - upper)
-                total[0, p] += c * value
-                total[1, p] += c_r * value
-                total[2, p] += c_t * (top_slope + down[p] * (low_slope - top_slope))
-                total[3, p] += c_t * (lower - upper)
-        for s in range(sums):
-            for p in range(min(GROUP, points - begin)):
-                out[s, 0, begin + p] = total[s, p]
+                lower = texels[n] + f * (texels[n + one] - texels[n])
+                total[0, 0, p] += c * (upper + down[p] * (lower - upper))
+            continue
+        for p in range(GROUP):
+            n, f = texel[p], across[p]
+            top, top_slope = texels[n], texels[n + one] - texels[n]
+            n += next_row
+            low, low_slope = texels[n], texels[n + one] - texels[n]
+            upper, lower = top + f * top_slope, low + f * low_slope
+            value = upper + down[p] * (lower - upper)
+            total[0, 0, p] += c * value
+            total[1, 0, p] += c_r * value
+            total[2, 0, p] += c_t * (top_slope + down[p] * (low_slope - top_slope))
+            total[3, 0, p] += c_t * (lower - upper)
 
 
 @_compiled
@@ -225,9 +262,10 @@ def _picture(frame, real):
 @_compiled
 def _points(frame, real):
     if not asks_version(frame):
-        mask, at = matrix(frame, 0, real), matrix(frame, 1, real)
-        count = vector(frame, 3, np.int32)[0]
-        scattered(mask, at, vector(frame, 2, real), count, result(frame, real))
+        mask, flat = matrix(frame, 0, real), matrix(frame, 1, real)
+        at, numbers = matrix(frame, 2, real), vector(frame, 3, real)
+        count = vector(frame, 4, np.int32)[0]
+        scattered(mask, flat, at, numbers, count, result(frame, real))
     return 0
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from godfit.native import compiled
-from godfit.radial.compiled import scattered
+from godfit.radial.compiled import CELL, scattered
 
 
 @compiled
@@ -14,15 +14,17 @@ def left(mask, at, numbers, counts, shows_own, target):
     ``numbers`` (n, 5), when they and the mask itself at ``at`` (2, points) take the share that
     leaves the least."""
     points = at.shape[1]
+    # Points that are far apart ask for no flat cells.
+    flat = np.full((mask.shape[0] // CELL + 1, mask.shape[1] // CELL + 1), np.nan, mask.dtype)
     rays, own = np.empty((1, 1, points), np.float32), np.zeros((1, 1, points), np.float32)
     if shows_own:
         # The sum with one tap at no distance.
         nearby = numbers[0].copy()
         nearby[2], nearby[3] = 1.0, 0.0
-        scattered(mask, at, nearby, 1, own)
+        scattered(mask, flat, at, nearby, 1, own)
     squares = np.empty(len(counts))
     for i in range(len(counts)):
-        scattered(mask, at, numbers[i], counts[i], rays)
+        scattered(mask, flat, at, numbers[i], counts[i], rays)
         aa = ab = bb = ay = by = 0.0
         for p in range(points):
             a, b, y = float(own[0, 0, p]), float(rays[0, 0, p]), target[p]

@@ -6,7 +6,8 @@ columns, and these strips are mixed two by two into the tile's rows, without an 
 its strips stay in the cache closest to the core. Most of a mask is flat: where all that a tile
 reads of it has one value, the tap is that value times its weight.
 
-Points that are not a picture are summed one by one, many taps to a point, from four reads each.
+Of points that are not a picture, those that follow each other in a row are a tile of one row, which
+costs twice as much; others are summed one by one, from four reads each, which costs eight times.
 
 Cost: taps x points, a share (1 - t_k) of them with a read. Error: rounding; positions are worked
 out in float64.
@@ -54,8 +55,9 @@ def strip_sums(
         made = jax.ffi.ffi_call(
             target(kind, double), jax.ShapeDtypeStruct(shape, dtype), vmap_method="sequential"
         )
-        return made(padded, *arguments)
+        return made(padded, flat, *arguments)
 
+    flat = _flat_cells(padded)
     if at is not None:
         shares = _shares(at.shape[1], ENOUGH, CALLS)
         one = jnp.asarray([count], jnp.int32)
@@ -64,9 +66,8 @@ def strip_sums(
             for begin, size in shares
         ]
         return jnp.concatenate(parts, -1)[:, 0]
-    flat = _flat_cells(padded)
     parts = [
-        call("picture", (sums, size, w), flat, packed, jnp.asarray([count, begin], jnp.int32))
+        call("picture", (sums, size, w), packed, jnp.asarray([count, begin], jnp.int32))
         for begin, size in _shares(h, min(HIGH, -(-h // CALLS)), CALLS)
     ]
     return jnp.concatenate(parts, 1).reshape(sums, h * w)
