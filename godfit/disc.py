@@ -19,6 +19,7 @@ from jaxtyping import Array, Float, Int
 
 from godfit.models import AbstractModel, Mitchell, Vector, at_pixels, columns_rows
 from godfit.parameters import SCATTERING, Parameter, light_parameters
+from godfit.radial.geometric import is_zero
 from godfit.taps import Convention, Taps
 
 SHAPE = (
@@ -190,14 +191,51 @@ class DiscLight(AbstractModel):
 
     def light_pass(self, mask, *, size=None, pixels=None, method="auto"):
         """The light pass alone, (h, w) or (n,)."""
+        return at_pixels(functools.partial(self._scattered, method=method), mask, size, pixels)
 
-        def passed(numbers):
-            at = eqx.tree_at(lambda m: (m.shading, m.shape), self, _split(self.shading, numbers))
-            light = functools.partial(at.shading.light_pass, method=method)
-            return at_pixels(light, at.occlusion(mask), size, pixels)
+    def _scattered(self, open_, at=None, method="auto"):
+        """The sum over ``occlusion``, everywhere or at ``at`` (..., 2).
 
-        numbers = jnp.stack([*self.shading.values().values(), *self.shape])
-        return _with_jacobian(passed, numbers)
+        Derivatives by any number of directions cost one by the nine numbers that it depends on: the
+        background's coefficients, many, do not change it. It is linear in the mask, so that what
+        these numbers change there is summed as if it were channels, most of which are flat.
+        """
+
+        @jax.custom_jvp
+        def value(numbers, open_, at):
+            here = self._with(numbers)
+            return here.shading.light_pass(here.occlusion(open_), at, method)
+
+        @functools.partial(value.defjvp, symbolic_zeros=True)
+        def _(primals, tangents):
+            (numbers, open_, at), (along, *others) = primals, tangents
+            if not all(map(is_zero, jax.tree.leaves(others))):
+                raise ValueError("a disc's light pass is differentiable in its own numbers alone")
+            here = self._with(numbers)
+
+            def mask(rest):
+                return self._with(jnp.concatenate([numbers[:4], rest])).occlusion(open_)
+
+            def under_it(first):
+                shading = self._with(jnp.concatenate([first, numbers[6:]])).shading
+                return shading.light_pass(still, at, method)
+
+            still, changes = _jacobian(mask, numbers[4:])
+            out, by_first = _jacobian(under_it, numbers[:6])
+            by_rest = here.shading.light_pass(jnp.moveaxis(changes, 0, -1), at, method)
+            d_out = jnp.tensordot(along[:6], by_first, 1)
+            return out, d_out + by_rest @ along[4:]
+
+        return value(jnp.stack([*self.shading.values().values(), *self.shape]), open_, at)
+
+    def _with(self, numbers: Float[Array, " 9"]) -> DiscLight:
+        """The same with scattering, light and shape from ``numbers``."""
+        shading = eqx.tree_at(
+            lambda m: (m.exposure, m.decay, m.density, m.weight, m.light),
+            self.shading,
+            (*numbers[:4], numbers[4:6].reshape(1, 2)),
+        )
+        return eqx.tree_at(lambda m: (m.shading, m.shape), self, (shading, numbers[6:]))
 
     def composite(self, light, size: tuple[int, int], pixels=None):
         """The light pass on the background: (h, w, c) or (n, c), without c where it is 1."""
@@ -211,28 +249,8 @@ class DiscLight(AbstractModel):
         return out if out.shape[-1] > 1 else out[..., 0]
 
 
-def _split(shading: Mitchell, numbers: Float[Array, " 9"]) -> tuple[Mitchell, Float[Array, " 3"]]:
-    """Scattering and shape from their numbers in one row."""
-    fields = (*numbers[:4], numbers[4:6].reshape(1, 2))
-    at = eqx.tree_at(lambda m: (m.exposure, m.decay, m.density, m.weight, m.light), shading, fields)
-    return at, numbers[6:]
-
-
-def _with_jacobian(function, numbers):
-    """``function(numbers)`` whose derivative by any number of directions costs one by ``numbers``:
-    the coefficients of the background, many, do not change the light pass."""
-
-    @jax.custom_jvp
-    def value(numbers):
-        return function(numbers)
-
-    @value.defjvp
-    def _(primals, tangents):
-        def along(direction):
-            return jax.jvp(function, primals, (direction,))
-
-        unit = jnp.eye(numbers.shape[0], dtype=numbers.dtype)
-        out, columns = jax.vmap(along, out_axes=(None, 0))(unit)
-        return out, jnp.tensordot(tangents[0], columns, 1)
-
-    return value(numbers)
+def _jacobian(function, numbers):
+    """``function(numbers)`` and its derivatives, (numbers, ...)."""
+    unit = jnp.eye(numbers.shape[0], dtype=numbers.dtype)
+    move = functools.partial(jax.jvp, function, (numbers,))
+    return jax.vmap(move, out_axes=(None, 0))((unit,))

@@ -22,6 +22,9 @@ from godfit.radial import radial_sum
 from godfit.radial.reference import bilinear
 from godfit.taps import Convention, Taps, convention
 
+# A point by itself costs as much as so many pixels of a whole picture, and more.
+POINT = 4
+
 # By coordinate or by parameter; what lives between two calls is kept as a numpy array.
 Vector = Float[Array, " p"] | Float[np.ndarray, " p"]
 # By pixel and channel.
@@ -292,8 +295,7 @@ def at_pixels(
     low = (mask.shape[0], mask.shape[1])
     if size is not None and size != low:
         return _upsampled(light_pass, mask, size, pixels)
-    if pixels is None or 4 * pixels.shape[0] >= low[0] * low[1]:
-        # A whole picture costs less than many points.
+    if pixels is None or POINT * pixels.shape[0] >= low[0] * low[1]:
         light = light_pass(mask, None)
         return light if pixels is None else light.reshape(-1, *light.shape[2:])[pixels]
     return light_pass(mask, columns_rows(pixels, low[1], mask.dtype))
@@ -309,7 +311,7 @@ def _upsampled(light_pass, mask, size, pixels):
         shape = pixels.shape
     at = columns_rows(pixels, width, mask.dtype)
     x, y = (at[:, 0] + 0.5) * w / width - 0.5, (at[:, 1] + 0.5) * h / height - 0.5
-    if 4 * pixels.shape[0] >= h * w:
+    if 4 * POINT * pixels.shape[0] >= h * w:
         low = jnp.clip(light_pass(mask, None), 0, 1)
         read = functools.partial(bilinear, x=x, y=y)
         out = read(low) if low.ndim == 2 else jax.vmap(read, -1, -1)(low)

@@ -21,7 +21,7 @@ ROUNDS, STEPS = 3, 40
 # is worth as much as one pixel of the picture.
 HUBER, PULL = 1.0, 3.0
 # Taps that are held at once, most: some hundred bytes each.
-HELD = 1 << 22
+HELD = 1 << 21
 
 
 def refined(

@@ -87,30 +87,31 @@ def _prepared(mask, light, ratio, step, lag, at):
 def _sum_jvp(sums, linear, count, primals, tangents):
     mask, light, own, first, ratio, step, lag, at = primals
     d_mask, d_light, d_own, d_first, d_ratio, d_step, _, d_at = tangents
-    if at is not None and not _is_zero(d_at):
+    if at is not None and not is_zero(d_at):
         raise ValueError("radial_sum is differentiable in `at` by method 'reference' alone")
     h, w = mask.shape
     numbers, where, itself = _prepared(mask, light, ratio, step, lag, at)
     s, s_r, g_x, g_y = sums(mask, numbers, count, where, True)
     out = own * itself + first * s
     d_out = jnp.zeros_like(out)
-    if not _is_zero(d_own):
+    if not is_zero(d_own):
         d_out += d_own * itself
-    if not _is_zero(d_first):
+    if not is_zero(d_first):
         d_out += d_first * s
-    if not _is_zero(d_ratio):
+    if not is_zero(d_ratio):
         d_out += d_ratio * (first * s_r)
-    if not _is_zero(d_step):
+    if not is_zero(d_step):
         x, y = (z.reshape(-1) for z in points(h, w, at, mask.dtype))
         d_out += d_step * (first * (g_x * (numbers.light_x - x) + g_y * (numbers.light_y - y)))
-    if not _is_zero(d_light):
+    if not is_zero(d_light):
         # v points up, rows down.
         scale = first * step
         d_out += d_light[0] * (scale * w * g_x) - d_light[1] * (scale * h * g_y)
-    if not _is_zero(d_mask):
+    if not is_zero(d_mask):
         d_out += _sum(linear, linear, count, d_mask, light, own, first, ratio, step, lag, at)
     return out, d_out
 
 
-def _is_zero(tangent) -> bool:
+def is_zero(tangent) -> bool:
+    """Whether a rule with symbolic zeros is asked for no derivative by this."""
     return isinstance(tangent, jax.custom_derivatives.SymbolicZero)
