@@ -4,7 +4,8 @@
     python data_synthetic/make.py --gif FILE flight
 
 Masks of scenes (stages.py) are the rasteriser's; canvases of the light in the plane (canvases.py)
-are drawn by formula or by falling sand (sand.py). With --gif what moves becomes an animation.
+are drawn by formula or by falling sand (sand.py). Screenshots (screens.py) come without a mask.
+With --gif what moves becomes an animation.
 
 A mask is rounded to bytes before anything is rendered from it, so that the parameters in the table
 below are exactly the picture's. Pictures are rendered by the reference sum in float64 and rounded
@@ -27,6 +28,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import sand
+import screens
 from stages import FRAMES, SEQUENCES, STAGES, Stage
 
 from godfit.flatland import Sky, canvas, render
@@ -312,6 +314,14 @@ TARGETS = {
                [(0.58, 0.58)], "No tap at the pixel itself: only exposure*weight matters.", {}),
 }  # fmt: skip
 
+# name: background, seed, quality as a JPEG.
+SCREENS = {
+    "screen_flat": ("flat", 12, None),
+    "screen_smooth": ("smooth", 12, None),
+    "screen_textured": ("textured", 4, None),
+    "screen_jpeg": ("flat", 1, 90),
+}
+
 
 def to_bytes(values) -> np.ndarray:
     """Values as an 8-bit file holds them: clamped, rounded half up, still from 0 to 1."""
@@ -421,6 +431,24 @@ def make_plane(folder: Path, name: str, drawn: np.ndarray, truth: canvases.Truth
     return files | {"rays": PLANE_RAYS, "params": params}
 
 
+def make_screen(folder: Path, name: str, kind: str, seed: int, quality: int | None) -> dict:
+    """Write the screenshot ``name``, as a JPEG of some ``quality`` if given, and its side file; its
+    truth."""
+    screen = screens.made(seed, kind)
+    target = f"{name}.png" if quality is None else f"{name}.jpg"
+    if quality is None:
+        data = imagecodecs.png_encode(screen.image)
+    else:
+        data = imagecodecs.jpeg_encode(screen.image, level=quality)
+    atomic_write(folder / target, bytes(data))
+    params = dict(screen.truth)
+    settings = {"shader": screens.SHADER, "samples": params.pop("samples")}
+    beside = f'[scattering]\nshader = "{settings["shader"]}"\nsamples = {settings["samples"]}\n'
+    atomic_write(folder / f"{name}.toml", beside.encode())
+    told = {"panels": screen.panels, "pass_scale": screen.pass_scale, "kind": kind}
+    return {"target": target} | settings | {"params": params} | told
+
+
 def make_sand_gif(file: Path, frames: int = 60) -> None:
     """Write the falling sand and its light as an animation, twice its size; needs x64."""
     pictures = []
@@ -468,7 +496,10 @@ def make(folder: Path) -> None:
         name: make_plane(folder, name, values, truth) | more
         for name, values, truth, more in planes()
     }
-    manifest = {"schema": 1, "targets": truths, "scenes": scenes, "canvases": drawn}
+    shots = {name: make_screen(folder, name, *how) for name, how in SCREENS.items()}
+    manifest = {
+        "schema": 1, "targets": truths, "scenes": scenes, "canvases": drawn, "screenshots": shots
+    }  # fmt: skip
     text = json.dumps(manifest, indent=1) + "\n"
     atomic_write(folder / "manifest.json", text.encode())
 

@@ -13,9 +13,13 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
-from screens import BACKGROUNDS, made
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
+
+from screens import BACKGROUNDS, made  # pyright: ignore[reportMissingImports]
 
 import godfit
 from godfit.cache import keep_compiled

@@ -4,7 +4,8 @@
 
 For every screenshot: the light's error as a share of the picture, errors of decay^samples (share),
 density and exposure*weight*samples (share), the same over what was quoted, and what the fit says of
-itself. Panels are given with --ignore, as a user would.
+itself. Panels are given with --ignore, as a user would. Kind "rayless": pictures with no rays in
+them, of which it is asked whether the fit says so.
 """
 
 from __future__ import annotations
@@ -12,9 +13,19 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
-from screens import BACKGROUNDS, Screen, made
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
+
+from screens import (  # pyright: ignore[reportMissingImports]
+    BACKGROUNDS,
+    RAYLESS,
+    Screen,
+    made,
+    without_rays,
+)
 
 import godfit
 from godfit.cache import keep_compiled
@@ -24,12 +35,16 @@ SHADER = "dawntime"
 
 def main() -> int:
     parser = argparse.ArgumentParser()
-    parser.add_argument("--kinds", nargs="+", default=list(BACKGROUNDS))
+    parser.add_argument("--kinds", nargs="+", default=[*BACKGROUNDS, RAYLESS])
     parser.add_argument("--seeds", default="1000:1020")
     options = parser.parse_args()
     keep_compiled()
     first, last = map(int, options.seeds.split(":"))
     for kind in options.kinds:
+        if kind == RAYLESS:
+            told = [says_so(seed) for seed in range(first, last)]
+            print(f"{kind}: {sum(told)} of {len(told)} are said to show no rays")
+            continue
         rows = [judged(kind, seed) for seed in range(first, last)]
         report(kind, rows)
     return 0
@@ -48,6 +63,17 @@ def judged(kind: str, seed: int) -> dict[str, float]:
         flush=True,
     )
     return row
+
+
+def says_so(seed: int) -> bool:
+    """Whether the fit of a picture without rays ends with that."""
+    began = time.perf_counter()
+    subject, picture = without_rays(seed)
+    result = godfit.fit(picture, shader=SHADER)
+    told = not result.converged and "no rays" in result.message
+    seconds = time.perf_counter() - began
+    print(f"{subject:<9}{seed:>5}  {result.message[:70]}  {seconds:.1f} s", flush=True)
+    return told
 
 
 def fitted(screen: Screen) -> godfit.FitResult:

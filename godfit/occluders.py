@@ -18,7 +18,7 @@ from godfit.observation import LEVELS, Picture
 
 ROUNDS, STEPS = 3, 40
 # Levels at which a pixel that is off no longer counts in full, and at which the pull to the prior
-# is worth as much as one pixel of the picture.
+# is worth as much as one pixel of the picture; of a textured one, in units of its texture.
 HUBER, PULL = 1.0, 3.0
 # Taps that are held at once, most: some hundred bytes each.
 HELD = 1 << 21
@@ -31,10 +31,11 @@ def refined(
     prior: np.ndarray,
     rows: int,
     seed: int,
+    texture: float = 0.0,
 ) -> np.ndarray:
     """(h, w) how open every texel is: ``picture.mask`` where it is known, between 0 and 1 where
     ``unknown``, by so many pixels (``rows``) of the picture. All are (h, w), the light pass's
-    size, which may be less than the picture's."""
+    size, which may be less than the picture's. ``texture`` is the background's, in levels."""
     h, w = picture.mask.shape[:2]
     columns = np.flatnonzero(unknown)
     usable = np.flatnonzero(picture.valid & ~picture.clipped)
@@ -56,10 +57,11 @@ def refined(
     thought = prior.reshape(-1)[columns].astype(np.float64)
     share = thought.copy()
     weight = np.ones(len(goal))
+    noise = max(1.0, texture)
     for _ in range(ROUNDS):
-        share = _bounded(design, goal, weight, thought, share)
+        share = _bounded(design, goal, weight, thought, share, noise * PULL)
         off = np.abs(goal - design @ share)
-        weight = np.minimum(1.0, HUBER / np.maximum(off, 1e-9))
+        weight = np.minimum(1.0, noise * HUBER / np.maximum(off, 1e-9))
     out = picture.mask.reshape(-1).copy()
     out[columns] = share
     return out.reshape(h, w).astype(np.float32)
@@ -74,16 +76,16 @@ def _affordable(model: DiscLight, size: tuple[int, int], low: tuple[int, int]) -
     return size[0] * size[1] if low[0] * low[1] <= most else most // 4
 
 
-def _bounded(design, goal, weight, thought, start) -> np.ndarray:
+def _bounded(design, goal, weight, thought, start, pull) -> np.ndarray:
     """Least squares with a pull to ``thought`` inside [0, 1]: accelerated projected gradient (Beck
     & Teboulle, SIAM J. Imaging Sci. 2 (2009), 183), scaled by the diagonal."""
     weighted = design.T.multiply(weight).tocsr()
     # Row sums of |A'WA| bound what a diagonal step may be.
-    size = weighted @ np.asarray(design.sum(1)).ravel() + PULL**2
+    size = weighted @ np.asarray(design.sum(1)).ravel() + pull**2
     share = ahead = start
     momentum = 1.0
     for _ in range(STEPS):
-        slope = weighted @ (design @ ahead - goal) + PULL**2 * (ahead - thought)
+        slope = weighted @ (design @ ahead - goal) + pull**2 * (ahead - thought)
         moved = np.clip(ahead - slope / size, 0, 1)
         grown = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
         ahead = moved + (momentum - 1) / grown * (moved - share)

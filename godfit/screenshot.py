@@ -18,6 +18,7 @@ from scipy import ndimage
 
 from godfit import screen_disc
 from godfit.disc import FIRST, TERMS, DiscLight, terms
+from godfit.explained import explained, grain
 from godfit.image import Image
 from godfit.models import Mitchell
 from godfit.observation import LEVELS, Observation, Picture, shrink
@@ -49,8 +50,6 @@ SMOOTH = 1.5
 # Noise in levels allowed for in turns of light and shadows, on the small copy and on a finer one.
 SIGMAS, FINER = (2.0, 1.0, 1.0, 0.5), (0.5, 0.5)
 MAX_SOLVES = 8
-# Longest side of the copy on which it is asked how much the light explains: texture is no light.
-COPY = 60
 # Share of the picture that must be background for the rest to be objects.
 LEAST = 0.03
 # Starts whose lights lie within so much of the picture agree.
@@ -150,6 +149,7 @@ def look(
     picture = reading.picture
     small = picture.shrunk(-(-max(picture.size) // SIDE))
     unknown = shrink(reading.unknown.astype(np.float32), small.size) > 0
+    texture = grain(small)
     model = _with_taps(template(shading, picture.channels, reading.degree), COARSE_TAPS)
     still = held(model).copy()
     free = np.isnan(still)
@@ -184,19 +184,19 @@ def look(
     begun_with = [(first, mask) for mask in masks] + [(p, small.mask) for p in others]
     say(f"{len(begun_with)} of {len(points)} starts and {len(masks)} masks, with their shadows")
     seen = small.observe(small.informative(TRIAL, seed + 1))
-    args = (unknown, free, still, model, seen, seed)
+    args = (unknown, texture, free, still, model, seen, seed)
     trials = []
     for point, prior in begun_with:
         at = dataclasses.replace(seen, mask=jnp.asarray(prior))
         for sigma in BEFORE:
-            point = _descend(point, free, still, model, at, sigma)
+            point = _descend(point, free, still, model, at, max(sigma, texture))
         tried, _ = _with_shadows(point, small, prior, WITH, *args)
         trials.append((tried, prior))
     trials.sort(key=lambda t: t[0].cost)
     trials = [t for t in trials[:FOLLOWED] if t[0].cost < WORSE * trials[0][0].cost]
     say(f"{len(trials)} of them further")
     seen = small.observe(small.informative(MORE, seed + 1))
-    args = (unknown, free, still, model, seen, seed)
+    args = (unknown, texture, free, still, model, seen, seed)
     ended = [_with_shadows(p, small, prior, SIGMAS, *args) for p, prior in trials]
     point, mask = min(ended, key=lambda e: e[0].cost)
     agreed = sum(_near(p, point) for p in points)
@@ -209,10 +209,10 @@ def look(
         prior = _enlarged(mask, small.mask, finer.mask)
         unknown = shrink(reading.unknown.astype(np.float32), finer.size) > 0
         seen = finer.observe(finer.informative(MORE, seed + 2))
-        args = (unknown, free, still, model, seen, seed)
+        args = (unknown, grain(finer), free, still, model, seen, seed)
         point, mask = _with_shadows(point, finer, prior, FINER, *args)
         small = finer
-    share = _explained(point.coordinates, still, model, dataclasses.replace(small, mask=mask))
+    share = explained(point.coordinates, still, model, dataclasses.replace(small, mask=mask))
     fine = dataclasses.replace(picture, mask=_enlarged(mask, small.mask, picture.mask))
     full = template(shading, picture.channels, reading.degree)
     z = np.asarray(model.moved(point.coordinates, still).coordinates(), np.float32)
@@ -260,6 +260,7 @@ def _with_shadows(
     prior: np.ndarray,
     sigmas: tuple[float, ...],
     unknown: np.ndarray,
+    texture: float,
     free: np.ndarray,
     held: np.ndarray,
     model: DiscLight,
@@ -271,10 +272,11 @@ def _with_shadows(
     rows = len(seen.pixels)
     for sigma in sigmas:
         at = model.moved(point.coordinates, held)
-        small = dataclasses.replace(small, mask=refined(at, small, unknown, prior, rows, seed))
+        mask = refined(at, small, unknown, prior, rows, seed, texture)
+        small = dataclasses.replace(small, mask=mask)
         seen = dataclasses.replace(seen, mask=jnp.asarray(small.mask))
-        point = _descend(point, free, held, model, seen, sigma)
-    return solve(point.coordinates, free, held, model, seen, 1.0), small.mask
+        point = _descend(point, free, held, model, seen, max(sigma, texture))
+    return solve(point.coordinates, free, held, model, seen, max(1.0, texture)), small.mask
 
 
 def _descend(
@@ -307,27 +309,6 @@ def _apart(points: list[Point]) -> list[Point]:
 
 def _near(p: Point, q: Point) -> bool:
     return bool(np.abs(p.coordinates[4:6] - q.coordinates[4:6]).max() < AGREE)
-
-
-def _explained(z, held, model: DiscLight, small: Picture) -> float:
-    """1 - (what is left)/(what a smooth background alone would leave), in absolute deviations of
-    the pixels whose light pass can be read."""
-    small = small.shrunk(-(-max(small.size) // COPY))
-    usable = np.flatnonzero(small.valid & ~small.clipped)
-    if len(usable) < 50:
-        return 0.0
-    seen = small.observe(usable)
-    left = np.abs(residual(z, held, model, seen)).mean()
-    goal = small.levels.reshape(-1, small.channels)[usable].astype(np.float64)
-    basis = np.asarray(terms(seen.pixels, seen.size, TERMS[3]), np.float64)
-    weight = np.ones(len(goal))
-    for _ in range(10):
-        root = np.sqrt(weight)[:, None]
-        fitted = basis @ np.linalg.lstsq(basis * root, goal * root, rcond=None)[0]
-        off = np.abs(goal - fitted).max(1)
-        weight = 1 / np.maximum(off, 0.5)
-    alone = np.maximum(off - max(small.half, 0.5), 0).mean()
-    return float(1 - left / max(alone, 1e-3))
 
 
 def _enlarged(mask: np.ndarray, before: np.ndarray, fine: np.ndarray) -> np.ndarray:
@@ -377,15 +358,3 @@ def with_background(
 def _light(z, held, model: DiscLight, seen: Observation):
     at = model.moved(z, held)
     return at.light_pass(seen.mask, size=seen.size, pixels=seen.pixels)
-
-
-@eqx.filter_jit
-def predicted(z, held, model, seen):
-    return seen.predict(model.moved(z, held))
-
-
-def residual(z, held, model, seen) -> np.ndarray:
-    """(n,) how far, in levels, each pixel's worst channel lies outside its interval."""
-    prediction = np.asarray(predicted(z, held, model, seen))
-    off = np.maximum(np.asarray(seen.lo) - prediction, prediction - np.asarray(seen.hi))
-    return np.maximum(off, 0).reshape(-1, seen.channels).max(1)

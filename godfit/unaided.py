@@ -17,12 +17,12 @@ from scipy import ndimage
 from godfit import inputs, screenshot, search
 from godfit.disc import DENSITY, DiscLight
 from godfit.errors import InputError
+from godfit.explained import grain, predicted
 from godfit.image import Image
 from godfit.inference import Evidence, evidence
 from godfit.models import Mitchell
 from godfit.observation import Observation, Picture, shrink
 from godfit.occluders import refined
-from godfit.screenshot import predicted
 from godfit.solver import Point, solve, solve_tangent
 from godfit.valley import DOUBT
 from godfit.verdict import Found
@@ -108,21 +108,22 @@ def found_in(
         free[0] = False
         opened.append((0, [3]))
     seen = picture.observe(screenshot.blocks(picture, seed))
+    texture = grain(picture)
     say(f"{len(seen.pixels):,} pixels")
     rays = looked.explained > RAYS
     rounds = ROUNDS if rays else 1
     begin = _Read(Point(looked.coordinates, np.inf, False, 0), picture.mask, seen)
     # At some noise first: where a copy's answer is a little off, rays must not pass for foreign.
-    noises = NEAR if rays else NEAR[-1:]
+    noises = [max(sigma, texture) for sigma in (NEAR if rays else NEAR[-1:])]
     first = _solved(begin, noises, free, held, model)
     point = first.point
     if rays and pass_scale is None:
         say("a light pass of half the size")
-        args = (model, picture, reading.unknown, free, held, seed)
+        args = (model, picture, reading.unknown, texture, free, held, seed)
         whole = _in_turns(first, SOME, *args)
         # On a copy of that size shadows were those of such a pass.
         smaller = (inputs.shrink_mask(mask, HALF) for mask in (open_, looked.coarse))
-        halved = [_solved(begin.with_mask(mask), NEAR, free, held, model) for mask in smaller]
+        halved = [_solved(begin.with_mask(mask), noises, free, held, model) for mask in smaller]
         nearest = min(halved, key=lambda read: read.point.cost)
         half = _in_turns(nearest, SOME, *args)
         if half.point.cost < whole.point.cost - DOUBT:
@@ -185,6 +186,7 @@ def _in_turns(
     model: DiscLight,
     picture: Picture,
     unknown: np.ndarray,
+    texture: float,
     free: np.ndarray,
     held: np.ndarray,
     seed: int,
@@ -196,8 +198,9 @@ def _in_turns(
     for _ in range(turns):
         at = model.moved(read.point.coordinates, held)
         known = dataclasses.replace(picture, mask=read.mask)
-        mask = refined(at, known, unknown, thought, SHADOWED, seed)
-        there = _solved(read.with_mask(mask), NEAR[-1:], free, held, model)
+        mask = refined(at, known, unknown, thought, SHADOWED, seed, texture)
+        noises = (max(NEAR[-1], texture),)
+        there = _solved(read.with_mask(mask), noises, free, held, model)
         gained = 1 - there.point.cost / read.point.cost
         if gained > 0:
             read = there

@@ -13,6 +13,7 @@ from scipy.stats import norm
 import godfit
 from godfit import screenshot, unaided
 from godfit.disc import FIRST, GAIN, VEIL, DiscLight
+from godfit.explained import explained, grain
 from godfit.inputs import image, shrink_mask
 from godfit.likelihood import ANY_LEVEL, deviance_residuals, interval
 from godfit.models import Mitchell
@@ -20,7 +21,7 @@ from godfit.observation import Picture
 from godfit.occluders import refined
 from godfit.segment import panels, segments
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
 from screens import made
 
 SIZE = (90, 160)
@@ -230,6 +231,33 @@ def test_light_explains_rays_and_nothing_else(screen):
     with jax.enable_x64(False):
         looked = screenshot.look(reading, shading, {}, nothing_held, 0, lambda text: None)
     assert looked.explained < unaided.RAYS
+
+
+def test_texture_is_not_asked_of_the_light():
+    """It is told from a smooth background, and rays over it are explained by the light that made
+    them and by no other."""
+    screen = made(3003, "textured", (180, 320))
+    picture = screenshot.read(image(screen.image, "none"), None, None).picture
+    picture = dataclasses.replace(picture, mask=(screen.mask > 0).astype(np.float32))
+    smooth = screenshot.read(image(made(3003, "smooth", (180, 320)).image, "none"), None, None)
+    assert grain(picture) > 4
+    assert grain(smooth.picture) < 1
+
+    @jax.enable_x64(False)
+    def share(u, v):
+        t = screen.truth
+        four = (t[name] for name in ("exposure", "decay", "density", "weight"))
+        shading = Mitchell(*four, [[u, v]], "dawntime", int(t["samples"]))
+        model = DiscLight(shading, [t["radius"], 0.002, t["veil"]], np.zeros((6, 3)))
+        z = np.asarray(model.coordinates(), np.float32)
+        held = np.full(len(z), np.nan, np.float32)
+        seen = picture.observe(np.flatnonzero(picture.valid))
+        z = screenshot.with_background(z, held, model, seen)
+        return explained(z, held, model, picture)
+
+    u, v = screen.truth["light_x"], screen.truth["light_y"]
+    assert share(u, v) > 0.5
+    assert share(1 - u, 1 - v) < 0
 
 
 def test_without_rays_a_fit_does_not_converge(screen, looks, monkeypatch):

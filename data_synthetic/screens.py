@@ -17,6 +17,8 @@ from godfit.models import Mitchell
 from godfit.observation import shrink
 
 BACKGROUNDS = ("flat", "smooth", "textured")
+SHADER = "dawntime"
+RAYLESS = "rayless"
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +38,7 @@ def made(
     background: str,
     size: tuple[int, int] = (270, 480),
     *,
-    shader: str = "dawntime",
+    shader: str = SHADER,
     at: np.ndarray | None = None,
     shared: dict[str, float] | None = None,
     panel: bool = True,
@@ -102,6 +104,77 @@ def made(
     image = np.clip(levels, 0, 255).astype(np.uint8)
     panels = _panels(rng, image, centre * h) if panel else ()
     return Screen(image, truth, panels, mask, scale)
+
+
+def without_rays(seed: int, size: tuple[int, int] = (270, 480)) -> tuple[str, np.ndarray]:
+    """(subject, (h, w, 3) bytes) a picture without rays: what a game draws before its light pass, a
+    landscape with a sun, something cloudy, a page of text, or noise."""
+    rng = np.random.default_rng([seed, len(BACKGROUNDS)])
+    subject = list(SUBJECTS)[seed % len(SUBJECTS)]
+    image = SUBJECTS[subject](rng, size)
+    return subject, np.floor(255 * np.clip(image, 0, 1) + 0.5).astype(np.uint8)
+
+
+def _scene(rng: np.random.Generator, size: tuple[int, int]) -> np.ndarray:
+    x, y = _metric(size)
+    image = _background(rng, str(rng.choice(BACKGROUNDS)), size)
+    for _ in range(rng.integers(2, 6)):
+        place = rng.uniform(0, (size[1] / size[0], 1))
+        shape = _object(rng, x - place[0], y - place[1], rng.uniform(0.05, 0.25), 4)
+        image[shape] = _shaded(rng, x, y)[shape]
+    return image
+
+
+def _land(rng: np.random.Generator, size: tuple[int, int]) -> np.ndarray:
+    x, y = _metric(size)
+    sky = rng.uniform(0.2, 0.7, 3) + (y[..., None] - 0.5) * rng.uniform(-0.4, 0.4, 3)
+    sun = np.hypot(x - rng.uniform(0.2, x.max() - 0.2), y - rng.uniform(0.5, 0.9))
+    sky = np.where((sun < rng.uniform(0.02, 0.08))[..., None], 1.0, sky)
+    ridge = 0.35 + 0.1 * np.sin(x * rng.uniform(2, 5) + rng.uniform(0, 6.3))
+    ridge = ridge + 0.03 * _rough(rng, size, 2.0)[:1]
+    ground = rng.uniform(0.05, 0.4, 3) * (1 + 0.4 * _rough(rng, size, 1.2)[..., None])
+    return np.where((y < ridge)[..., None], ground, sky)
+
+
+def _cloud(rng: np.random.Generator, size: tuple[int, int]) -> np.ndarray:
+    shared = _rough(rng, size, rng.uniform(1.0, 2.0))[..., None]
+    return rng.uniform(0.2, 0.6, 3) + shared * rng.uniform(0.05, 0.2, 3)
+
+
+def _text(rng: np.random.Generator, size: tuple[int, int]) -> np.ndarray:
+    h, w = size
+    paper, ink = rng.permutation([rng.uniform(0.0, 0.3), rng.uniform(0.6, 1.0)])
+    page, line = np.full(size, paper), int(rng.integers(9, 16))
+    dot = line // 5
+    for top in range(line, h - line, line):
+        at = int(rng.integers(8, 30))
+        while at < w - 2 * line:
+            if rng.uniform() < 0.2:
+                at += line // 2
+            letter = np.kron(rng.uniform(size=(3, 2)) < 0.6, np.ones((dot, dot), bool))
+            page[top : top + 3 * dot, at : at + 2 * dot][letter] = ink
+            at += 2 * dot + 2
+    return page[..., None] * rng.uniform(0.8, 1.0, 3)
+
+
+def _noise(rng: np.random.Generator, size: tuple[int, int]) -> np.ndarray:
+    wide = rng.uniform(0, 1.5)
+    fine = ndimage.gaussian_filter(rng.standard_normal((*size, 3)), (wide, wide, 0))
+    return rng.uniform(0.3, 0.6) + rng.uniform(0.02, 0.15) * fine / np.std(fine)
+
+
+SUBJECTS = {"scene": _scene, "land": _land, "cloud": _cloud, "text": _text, "noise": _noise}
+
+
+def _rough(rng: np.random.Generator, size: tuple[int, int], falls: float) -> np.ndarray:
+    """(h, w) noise whose amplitude falls with frequency to the power of ``falls``, of deviation
+    1."""
+    down, across = np.fft.fftfreq(size[0])[:, None], np.fft.rfftfreq(size[1])[None]
+    frequency = np.hypot(down, across)
+    frequency[0, 0] = np.inf
+    wave = np.fft.rfft2(rng.standard_normal(size)) * frequency**-falls
+    noise = np.fft.irfft2(wave, s=size)
+    return noise / noise.std()
 
 
 def _light_pass(mask, size, truth, shader, *, clamp):
