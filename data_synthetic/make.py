@@ -4,12 +4,12 @@
     python data_synthetic/make.py --gif FILE flight
 
 Masks of scenes (stages.py) are the rasteriser's; canvases of the light in the plane (canvases.py)
-are drawn by formula or by falling sand (sand.py). Screenshots (screens.py) come without a mask.
-With --gif what moves becomes an animation.
+are drawn by formula or by falling sand (sand.py). Screenshots (screens.py) come without a mask, as
+the program itself draws them. With --gif what moves becomes an animation.
 
 A mask is rounded to bytes before anything is rendered from it, so that the parameters in the table
-below are exactly the picture's. Pictures are rendered by the reference sum in float64 and rounded
-once. ``x.toml`` tells the command line about ``x.png``; manifest.json holds the truth.
+below are exactly the picture's. Other pictures are rendered by the reference sum in float64 and
+rounded once. ``x.toml`` tells the command line about ``x.png``; manifest.json holds the truth.
 """
 
 from __future__ import annotations

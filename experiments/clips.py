@@ -19,13 +19,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
 
-from screens import BACKGROUNDS, made  # pyright: ignore[reportMissingImports]
+from screens import BACKGROUNDS, SHADER, made  # pyright: ignore[reportMissingImports]
 
 import godfit
 from godfit.cache import keep_compiled
 from godfit.clip import ClipResult, Frame
 
-SHADER = "dawntime"
 JUDGED = ("decay", "density", "gain")
 Estimates = ClipResult | Frame
 SHARED = ("decay", "density", "weight", "exposure", "samples")

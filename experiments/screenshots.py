@@ -1,6 +1,6 @@
 """How well a picture is read that comes with nothing: screenshots made for it, none used before.
 
-    python experiments/screenshots.py [--kinds KIND ...] [--seeds A:B] [--figure FILE]
+    python experiments/screenshots.py [--kinds KIND ...] [--seeds A:B]
 
 For every screenshot: the light's error as a share of the picture, errors of decay^samples (share),
 density and exposure*weight*samples (share), the same over what was quoted, and what the fit says of
@@ -22,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
 from screens import (  # pyright: ignore[reportMissingImports]
     BACKGROUNDS,
     RAYLESS,
+    SHADER,
     Screen,
     made,
     without_rays,
@@ -29,8 +30,6 @@ from screens import (  # pyright: ignore[reportMissingImports]
 
 import godfit
 from godfit.cache import keep_compiled
-
-SHADER = "dawntime"
 
 
 def main() -> int:

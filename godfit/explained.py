@@ -11,7 +11,7 @@ from scipy import ndimage
 from godfit.disc import TERMS, DiscLight, terms
 from godfit.observation import Picture
 
-# Longest side of the copy on which it is asked how much the light explains: texture is no light.
+# Longest side of the copy on which it is asked how much the light explains: fine texture is gone.
 COPY = 60
 # What varies less than so many levels is rounding.
 VARIES = 0.1
@@ -20,8 +20,9 @@ AROUND = 6
 
 
 def explained(z, held, model: DiscLight, small: Picture) -> float:
-    """The share that the light explains of what a smooth background alone would leave, in absolute
-    deviations of the pixels whose light pass can be read; texture, which nothing explains, is not
+    """The share that the light at coordinates ``z`` (p,), ``held`` (p,) where not NaN, explains of
+    what a smooth background alone would leave, in absolute deviations of the pixels whose light
+    pass can be read; 1 is all, below 0 is worse than none. Texture, which nothing explains, is not
     asked for."""
     small = small.shrunk(-(-max(small.size) // COPY))
     usable = np.flatnonzero(small.valid & ~small.clipped)
@@ -62,6 +63,7 @@ def grain(picture: Picture) -> float:
 
 @eqx.filter_jit
 def predicted(z, held, model, seen):
+    """(n c,) levels at the pixels seen, channel by channel, for coordinates ``z`` (p,)."""
     return seen.predict(model.moved(z, held))
 
 

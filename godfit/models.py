@@ -311,6 +311,7 @@ def _upsampled(light_pass, mask, size, pixels):
         shape = pixels.shape
     at = columns_rows(pixels, width, mask.dtype)
     x, y = (at[:, 0] + 0.5) * w / width - 0.5, (at[:, 1] + 0.5) * h / height - 0.5
+    # A pixel reads four texels.
     if 4 * POINT * pixels.shape[0] >= h * w:
         low = jnp.clip(light_pass(mask, None), 0, 1)
         read = functools.partial(bilinear, x=x, y=y)

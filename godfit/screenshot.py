@@ -41,7 +41,7 @@ STARTS, TRIED, FOLLOWED, WORSE = 6, 2, 2, 1.5
 GROWTHS, TRIAL, BEFORE, WITH = (0.02, 0.045, 0.075), 3072, (8.0, 4.0, 2.0), (1.0, 0.5)
 # Pixels of the last look, in blocks of so many rows and columns: what errs together is told by
 # neighbours. Sums along rows cost less.
-LAST, HIGH, WIDE = 16_384, 8, 32
+LAST, ROWS, COLUMNS = 16_384, 8, 32
 VEILS = (None, 0.05)
 # Noise in levels that the first steps allow for, and the points that go on for more of them.
 COARSE, AGAIN = 8.0, 4
@@ -222,11 +222,11 @@ def look(
 def blocks(picture: Picture, seed: int) -> np.ndarray:
     """Sorted indices of the valid pixels in blocks drawn at random, all where there are few."""
     h, w = picture.size
-    rows, columns = -(-h // HIGH), -(-w // WIDE)
+    rows, columns = -(-h // ROWS), -(-w // COLUMNS)
     order = np.random.default_rng(seed).permutation(rows * columns)
     rank = np.empty(rows * columns, int)
     rank[order] = np.arange(len(order))
-    rank = np.kron(rank.reshape(rows, columns), np.ones((HIGH, WIDE), int))[:h, :w]
+    rank = np.kron(rank.reshape(rows, columns), np.ones((ROWS, COLUMNS), int))[:h, :w]
     count = np.cumsum(np.bincount(rank[picture.valid], minlength=rows * columns))
     return np.flatnonzero(picture.valid & (rank <= np.searchsorted(count, LAST)))
 

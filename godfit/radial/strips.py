@@ -7,7 +7,8 @@ its strips stay in the cache closest to the core. Most of a mask is flat: where 
 reads of it has one value, the tap is that value times its weight.
 
 Of points that are not a picture, those that follow each other in a row are a tile of one row, which
-costs twice as much; others are summed one by one, from four reads each, which costs eight times.
+costs two to four times as much; others are summed one by one, from four reads each, which costs
+four to ten times.
 
 Cost: taps x points, a share (1 - t_k) of them with a read. Error: rounding; positions are worked
 out in float64.
