@@ -27,7 +27,7 @@ from godfit.search import (
     veil,
 )
 from godfit.solver import solve
-from godfit.valley import DOUBT, RIVALS, reseed, rivals
+from godfit.valley import DOUBT, RIVALS, predictions, reseed, rivals
 
 CORRECTIONS = 3
 # What is blurred needs fewer pixels than what is sharp.
@@ -229,7 +229,7 @@ def correct(
         for _ in range(CORRECTIONS):
             at = model.moved(jnp.asarray(z), jnp.asarray(held))
             sharp = picture.rendered(at)
-            coarse = seen.predict(at)
+            (coarse,) = np.asarray(predictions(jnp.asarray(z[None]), held, model, seen))
             bias = coarse - blurred(sharp, blur).reshape(-1, picture.channels)[pixels].reshape(-1)
             shifted = eqx.tree_at(lambda s: (s.lo, s.hi), seen, (seen.lo + bias, seen.hi + bias))
             z = solve(z, free, held, model, shifted, sigma, bounded=False).coordinates

@@ -209,6 +209,15 @@ class Picture:
     def informative(self, count: int, seed: int) -> np.ndarray:
         """Sorted indices of ``count`` valid pixels: half at random, half where the target varies,
         since flat areas say the same thing over and over."""
+        if (count, seed) not in self._chosen:
+            self._chosen[count, seed] = self._informative(count, seed)
+        return self._chosen[count, seed]
+
+    @functools.cached_property
+    def _chosen(self) -> dict[tuple[int, int], np.ndarray]:
+        return {}
+
+    def _informative(self, count: int, seed: int) -> np.ndarray:
         candidates = np.flatnonzero(self.valid)
         if len(candidates) <= count:
             return candidates

@@ -150,7 +150,7 @@ def starts(
         required = tuple(range(len(told)))
         groups = _best_groups(rays, jnp.asarray(along), own, goal, trust, lights, required)
         groups = np.array([_in_order(group, places, told) for group in groups])
-        rays = jnp.stack([rays[g].sum(0) for g in groups])
+        rays = rays[jnp.asarray(groups)].sum(1)
     e, g, cost = (np.asarray(z) for z in _solve(rays, jnp.asarray(along), own, goal, trust))
     spots = places[groups].reshape(len(groups), -1)
     found = []

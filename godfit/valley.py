@@ -6,6 +6,8 @@ dips; ``rivals`` looks at those near a point. ``dips.py`` decides between what t
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -55,17 +57,18 @@ def rivals(
     away = dip * np.linspace(-RIVAL_DIPS, RIVAL_DIPS, 10 * RIVAL_DIPS)
     line = np.clip(at + np.outer(away, follow), lower, upper)
     sigma = jnp.float32(start.sigma)
-    halves = side_by_side(
-        lambda part: np.asarray(_costs(jnp.asarray(part), held, model, seen, sigma)),
-        np.array_split(line.astype(np.float32), 2),
-    )
-    costs = np.concatenate(halves)
+
+    def costs_at(points: np.ndarray) -> np.ndarray:
+        levels = predictions(jnp.asarray(points, jnp.float32), held, model, seen)
+        return np.asarray(_costs(levels, seen, sigma))
+
+    costs = np.concatenate(side_by_side(costs_at, np.array_split(line, 2)))
     costs = np.where(np.isfinite(costs) & (np.abs(away) > dip / 2), costs, np.inf)
     dips = _bottoms(costs)
     best = dips[np.argsort(costs[dips])][:RIVALS]
     begun = line[best].astype(np.float32)
     ends = side_by_side(lambda z: solve(z, free, held, model, seen, start.sigma), begun)
-    own = float(_costs(jnp.asarray(at[None], jnp.float32), held, model, seen, sigma)[0])
+    own = float(costs_at(at[None])[0])
     return [end.coordinates for end in ends if end.cost < own + DOUBT]
 
 
@@ -97,20 +100,22 @@ def _projected(
     held: np.ndarray,
     model: AbstractModel,
     seen: Observation,
-) -> np.ndarray:
+) -> tuple[np.ndarray, np.ndarray]:
     """(n, p) ``at`` with coordinate ``along`` at ``values`` and the free ones that the image is
-    linear in where least squares has them (variable projection: Golub & Pereyra 1973)."""
+    linear in where least squares has them, inside their bounds (variable projection: Golub &
+    Pereyra 1973); and (n, m) levels there."""
     line = np.tile(at.astype(np.float64), (len(values), 1))
     line[:, along] = values
     linear = np.flatnonzero(free & model.linear())
     known = np.isfinite(seen.lo) & np.isfinite(seen.hi)
-    if not len(linear) or seen.transfer != "none" or not known.any():
-        return line
 
     def images(points: np.ndarray) -> np.ndarray:
-        found = _predictions(jnp.asarray(points, jnp.float32), held, model, seen)
-        return np.asarray(found, np.float64)[:, known]
+        found = predictions(jnp.asarray(points, jnp.float32), held, model, seen)
+        return np.asarray(found, np.float64)
 
+    shown = images(line)
+    if not len(linear) or seen.transfer != "none" or not known.any():
+        return line, shown
     # The image is b + sum_i x_i s_i. Twice one x_i shows x_i s_i; only the last, the gain's,
     # changes with density.
     doubled = np.tile(at, (len(linear), 1))
@@ -118,37 +123,44 @@ def _projected(
     here = images(at[None])[0]
     parts = images(doubled) - here
     rest = here - parts.sum(0)
-    target = ((np.asarray(seen.lo) + np.asarray(seen.hi)) / 2)[known] - rest
-    gain = images(line) - rest - parts[:-1].sum(0)
-    for i, own in enumerate(gain):
-        columns = np.stack([*parts[:-1], own])
-        gram = columns @ columns.T
-        tiny = 1e-9 * np.trace(gram) * np.eye(len(linear))
-        line[i, linear] *= np.linalg.solve(
-            gram + tiny + 1e-30 * np.eye(len(linear)), columns @ target
-        )
-    return line
+    target = ((np.asarray(seen.lo) + np.asarray(seen.hi)) / 2 - rest)[known]
+    gain = shown - rest - parts[:-1].sum(0)
+    # (n, linear, m) what each of them shows at each place.
+    each = np.concatenate(
+        [np.broadcast_to(parts[:-1], (len(line), *parts[:-1].shape)), gain[:, None]], 1
+    )
+    inside = each[..., known]
+    gram = inside @ inside.swapaxes(1, 2)
+    tiny = 1e-9 * np.trace(gram, axis1=1, axis2=2) + 1e-30
+    gram += tiny[:, None, None] * np.eye(len(linear))
+    share = np.linalg.solve(gram, (inside @ target)[..., None])[..., 0]
+    bounds = (np.asarray(b, np.float64)[linear] for b in model.bounds())
+    line[:, linear] = np.clip(line[:, linear] * share, *bounds)
+    # What is 0 shows nothing, however often it is taken.
+    share = line[:, linear] / np.where(at[linear] == 0, 1, at[linear])
+    shown = rest + np.einsum("nl,nlm->nm", share, each)
+    return line, shown
 
 
 @eqx.filter_jit
-def _predictions(points, held, model, seen):
+def predictions(
+    points: Float[Array, "n p"], held: Vector, model: AbstractModel, seen: Observation
+) -> Float[Array, "n m"]:
+    """Levels of the model at each of ``points``."""
     return jax.lax.map(lambda z: seen.predict(model.moved(z, held)), points)
 
 
 @eqx.filter_jit
 def _costs(
-    points: Float[Array, "n p"],
-    held: Vector,
-    model: AbstractModel,
-    seen: Observation,
-    sigma: Float[Array, ""],
+    levels: Float[Array, "n m"], seen: Observation, sigma: Float[Array, ""]
 ) -> Float[Array, " n"]:
-    def cost(z):
-        prediction = seen.predict(model.moved(z, held))
+    """Half the deviance of each of n predictions."""
+
+    def cost(prediction):
         residuals = deviance_residuals(prediction, seen.lo, seen.hi, sigma, seen.foreign)
         return 0.5 * (residuals**2).sum()
 
-    return jax.lax.map(cost, points)
+    return jax.lax.map(cost, levels)
 
 
 def reseed(
@@ -167,6 +179,7 @@ def reseed(
     first, ``start`` among them. ``count`` pixels decide."""
     pixels = picture.informative(count, seed)
     seen = picture.observe(pixels)
+    few = picture.observe(picture.informative(count // 4, seed))
     smooth = picture.observe(pixels, LADDER[1][0] * max(picture.size))
     scanned = picture.observe(picture.informative(SCAN_PIXELS, seed))
     lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
@@ -181,23 +194,29 @@ def reseed(
     switch = free.astype(np.float32)
     switch[along] = 1
     follow = np.asarray(_valley(jnp.asarray(at), switch, held, along, model, smooth))
-    lines = [
-        np.clip(at + np.outer(values - here, follow), lower, upper),
-        np.clip(_projected(at, values, along, free, held, model, scanned), lower, upper),
-    ]
     # As sharp as the start is good: a blunter likelihood cannot tell the dips apart, a sharper one
     # sees nothing of those whose bottom lies a little beside the line.
     sigma = float(np.clip(start.sigma, 0.02, 0.3))
 
-    def dips_on(line: np.ndarray) -> list[Point]:
-        points = line.astype(np.float32)
-        costs = np.asarray(_costs(jnp.asarray(points), held, model, scanned, jnp.float32(sigma)))
+    def following() -> tuple[np.ndarray, np.ndarray]:
+        line = np.clip(at + np.outer(values - here, follow), lower, upper)
+        points = jnp.asarray(line, jnp.float32)
+        return line, np.asarray(predictions(points, held, model, scanned))
+
+    def projected() -> tuple[np.ndarray, np.ndarray]:
+        return _projected(at, values, along, free, held, model, scanned)
+
+    def dips_on(line: Callable[[], tuple[np.ndarray, np.ndarray]]) -> list[Point]:
+        points, levels = line()
+        points = points.astype(np.float32)
+        costs = np.asarray(_costs(jnp.asarray(levels, jnp.float32), scanned, jnp.float32(sigma)))
         return [Point(points[i], float(costs[i]), False, 0) for i in _bottoms(costs)]
 
     dip = float(here) / model.samples
-    begun = _apart([p for line in side_by_side(dips_on, lines) for p in line], along, dip / 4)
+    dips = side_by_side(dips_on, [following, projected])
+    begun = _apart([p for line in dips for p in line], along, dip / 4)
     points = side_by_side(
-        lambda p: solve(p.coordinates, free, held, model, seen, sigma), begun[:tries]
+        lambda p: solve(p.coordinates, free, held, model, few, sigma), begun[:tries]
     )
     points = _apart(points, along, dip / 20)
     found = side_by_side(
