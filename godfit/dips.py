@@ -29,7 +29,8 @@ from godfit.search import (
 from godfit.solver import solve
 from godfit.valley import DOUBT, RIVALS, predictions, reseed, rivals
 
-CORRECTIONS = 3
+# Most corrections for one blur, and the share of a coordinate by which none is worth another.
+CORRECTIONS, STILL = 3, 1e-3
 # What is blurred needs fewer pixels than what is sharp.
 CORRECTED_PIXELS = 1 << 9
 # Pixels, most, that rivals are told apart on.
@@ -232,6 +233,8 @@ def correct(
             (coarse,) = np.asarray(predictions(jnp.asarray(z[None]), held, model, seen))
             bias = coarse - blurred(sharp, blur).reshape(-1, picture.channels)[pixels].reshape(-1)
             shifted = eqx.tree_at(lambda s: (s.lo, s.hi), seen, (seen.lo + bias, seen.hi + bias))
-            z = solve(z, free, held, model, shifted, sigma, bounded=False).coordinates
+            before, z = z, solve(z, free, held, model, shifted, sigma, bounded=False).coordinates
             z = np.clip(z, lower, upper)
+            if np.allclose(z, before, rtol=STILL, atol=STILL / 10):
+                break
     return z

@@ -126,6 +126,7 @@ def _mills_terms(degree: int) -> list[float]:
     return chebyshev.cheb2poly(chebyshev.chebinterpolate(scaled, degree)).tolist()
 
 
+@functools.partial(jax.jit, static_argnames="foreign")
 def log_likelihood(
     prediction: Float[Array, " n"],
     lo: Float[Array, " n"],

@@ -176,6 +176,7 @@ class Mitchell(AbstractModel):
         gain = self.exposure * self.weight * per_ray
         return jnp.stack([self.exposure, kappa, self.density, gain, *self.light.reshape(-1)])
 
+    @eqx.filter_jit
     def moved(self, coordinates: Vector, held: Vector | None = None) -> Mitchell:
         if held is None:
             held = jnp.full_like(coordinates, jnp.nan)

@@ -92,6 +92,9 @@ class Ladder:
 
         def climbed(step: int) -> list[np.ndarray]:
             starts = [point]
+            if np.array_equal(self._switches(self.shader, given[step])[0], self.base.free):
+                # This is the fit that the ladder begins with.
+                return starts
             if "light_x" in steps[step][2]:
                 starts += screen.starts(
                     self.picture.small, self.shader, given[step], keep=2, seed=self.seed
@@ -206,7 +209,7 @@ class Ladder:
         """The likeliest point from ``starts`` with parameters ``given`` held."""
         free, held = self._switches(model, given)
         points = [np.asarray(z, np.float32) for z in starts]
-        points = self._apart(points)
+        points = self._apart(points, free)
         if len(points) > 1:
             # A few values tell which is the best; those that they cannot tell apart go on.
             ends = side_by_side(
@@ -214,7 +217,7 @@ class Ladder:
             )
             most = max(end.log_likelihood for end in ends)
             points = [e.coordinates for e in ends if e.log_likelihood > most - DOUBT]
-            points = self._apart(points)
+            points = self._apart(points, free)
         settled, tangent = max(
             (search.settle(z, model, self.seen, free, held) for z in points),
             key=lambda found: found[0].log_likelihood,
@@ -222,10 +225,12 @@ class Ladder:
         fitted = model.moved(jnp.asarray(settled.coordinates), jnp.asarray(held))
         return Rung(name, shows, fitted, settled, tangent, free, held, int(free.sum()) + 1)
 
-    def _apart(self, points: list[np.ndarray]) -> list[np.ndarray]:
+    def _apart(self, points: list[np.ndarray], free: np.ndarray) -> list[np.ndarray]:
+        """Those that differ in what is ``free``: the rest is held at the same values in all."""
         kept: list[np.ndarray] = []
         for z in points:
-            if np.isfinite(z).all() and not any(np.allclose(z, k, rtol=1e-3) for k in kept):
+            near = (np.allclose(z[free], k[free], rtol=1e-3) for k in kept)
+            if np.isfinite(z).all() and not any(near):
                 kept.append(z)
         return kept or points[:1]
 

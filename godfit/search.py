@@ -272,12 +272,13 @@ def aim(
     z, sigma, likelihood = at.coordinates, at.sigma, at.log_likelihood
     lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
     for _ in range(5):
-        rows = slice(None)
+        rows, walls = slice(None), (seen.lo, seen.hi)
         if sigma < EXPLAINED:
             rows = _near_walls(tangent.prediction, lo, hi)
+            walls = lo[rows], hi[rows]
         moved, jacobian = tangent.moved(z - at.coordinates, rows), tangent.jacobian[:, rows]
         z = solve_tangent(
-            z, free, model, tangent.scale, moved, jacobian, lo[rows], hi[rows], sigma, seen.foreign
+            z, free, model, tangent.scale, moved, jacobian, *walls, sigma, seen.foreign
         ).coordinates
         moved = tangent.moved(z - at.coordinates)
         before, (sigma, likelihood) = sigma, best_sigma(moved, seen, near=sigma)

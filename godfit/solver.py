@@ -158,7 +158,8 @@ def solve_tangent(
     outwards stays there (Bertsekas, SIAM J. Control Optim. 20 (1982), 221).
     """
     values = [*(jnp.asarray(z) for z in (prediction, jacobian, lo, hi)), np.float32(sigma)]
-    lower, upper = ((np.asarray(b, np.float64) - start) / scale for b in model.bounds())
+    bounds = [np.asarray(b) for b in model.bounds()]
+    lower, upper = ((b - start) / scale for b in bounds)
     width = np.asarray(hi) - np.asarray(lo)
     rounding = width[np.isfinite(width)].max(initial=0) ** 2 / 12
     # One scale for every coordinate keeps those that nothing is known of where they are.
@@ -198,7 +199,7 @@ def solve_tangent(
         else:
             damping = 4 * damping
         settled = promised < ENOUGH
-    z = np.clip(start + step * scale, *(np.asarray(b) for b in model.bounds()))
+    z = np.clip(start + step * scale, *bounds)
     return Point(z.astype(np.float32), -float(likelihood), settled, steps)
 
 

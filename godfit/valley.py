@@ -6,6 +6,7 @@ dips; ``rivals`` looks at those near a point. ``dips.py`` decides between what t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import equinox as eqx
@@ -31,6 +32,8 @@ SCAN_PIXELS = 1 << 9
 RIVAL_DIPS, RIVALS = 6, 2
 # Log-likelihood on some of the pixels by which a point that is ahead on all may be behind.
 DOUBT = 8.0
+# And by which one, on a quarter of these and not settled yet, cannot be.
+BEYOND_DOUBT = 32.0
 
 
 def rivals(
@@ -218,10 +221,12 @@ def reseed(
     points = side_by_side(
         lambda p: solve(p.coordinates, free, held, model, few, sigma), begun[:tries]
     )
-    points = _apart(points, along, dip / 20)
-    found = side_by_side(
-        lambda p: settle(p.coordinates, model, seen, free, held)[0], points[:SETTLED]
-    )
+    points = _apart(points, along, dip / 20)[:SETTLED]
+    if points and start.sigma > sigma:
+        # With a noise of their own, half of n values times the logarithm is what they are behind.
+        far = points[0].cost * math.exp(2 * BEYOND_DOUBT / len(few.lo))
+        points = [p for p in points if p.cost <= far]
+    found = side_by_side(lambda p: settle(p.coordinates, model, seen, free, held)[0], points)
     return sorted([start, *found], key=lambda s: -s.log_likelihood)
 
 
