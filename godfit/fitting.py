@@ -297,13 +297,17 @@ def _look(
         key=lambda found: found[0].log_likelihood,
     )
     at = evidence(settled, tangent, seen)
+    first, known = settled, [tangent]
     # The derivatives of every pixel would only fill the memory.
     del tangent
     if model.banded:
         settled, at = dips.next_dips(settled, at, model, seen, free, held)
         settled, at = dips.beat_rivals(settled, at, model, picture, seen, free, held, seed)
         settled, at = dips.beat_distant(settled, at, model, picture, seen, free, held, seed)
-    settled, at, seen = counted_once(settled, at, model, seen, free, held)
+    if settled is not first:
+        known.clear()
+    settled, at, seen = counted_once(settled, at, model, seen, free, held, known)
+    known.clear()
     at = at.thinned(picture.repeats)
     found = Found(model, picture, seen, settled, at, free, held, opened, inquire)
     if inquire and free.any() and model.banded and restarts.doubtful(found):

@@ -17,7 +17,7 @@ from scipy.special import ndtri
 from godfit.inference import Evidence, evidence
 from godfit.models import AbstractModel
 from godfit.observation import Observation
-from godfit.search import EXPLAINED, Settled, settle
+from godfit.search import EXPLAINED, Settled, Tangent, settle
 
 # Levels within which values are alike, and so many of them that it is no chance.
 ALIKE, MANY = 1e-4, 4
@@ -55,14 +55,18 @@ def counted_once(
     seen: Observation,
     free: np.ndarray,
     held: np.ndarray,
+    known: list[Tangent],
 ) -> tuple[Settled, Evidence, Observation]:
-    """Settled again with flat areas counted once; and the observation that it is then a fit to."""
-    whole = seen
+    """Settled again with flat areas counted once; and the observation that it is then a fit to.
+    ``known`` holds the tangent, if there is one, and is emptied as in ``settle``."""
+    whole, prediction = seen, at.prediction
     for _ in range(ROUNDS):
-        seen = relieved(whole, at.prediction, settled.sigma)
+        seen = relieved(whole, prediction, settled.sigma)
         if seen is whole:
             break
-        settled, tangent = settle(settled.coordinates, model, seen, free, held)
-        at = evidence(settled, tangent, seen)
+        settled, tangent = settle(settled.coordinates, model, seen, free, held, known=known)
+        known, prediction = [tangent], tangent.prediction
         del tangent
+    if prediction is not at.prediction:
+        at = evidence(settled, known[0], seen)
     return settled, at, seen

@@ -210,14 +210,17 @@ def settle(
     held: np.ndarray,
     *,
     rounds: int = 10,
+    known: list[Tangent] | None = None,
 ) -> tuple[Settled, Tangent]:
     """Coordinates and noise that suit each other, until the log-likelihood stands still.
 
     The pixels are rendered once for each round. In between, the likelihood, which is far from
     quadratic when sigma is small, is solved on the tangent, with sigma and coordinates in turn.
+    ``known`` holds the tangent at ``start``, if there is one already; it is taken out, so that
+    nobody keeps it for longer than it is of use.
     """
     start = np.clip(start, *(np.asarray(bound, np.float32) for bound in model.bounds()))
-    settled, tangent = _in_rounds(start, model, seen, free, held, rounds)
+    settled, tangent = _in_rounds(start, model, seen, free, held, rounds, known or [])
     if settled.sigma > EXPLAINED:
         # On the way a few percent were enough; errors are quoted in units of it.
         sigma, likelihood = best_sigma(tangent.prediction, seen, FINAL_SIGMA_VALUES, settled.sigma)
@@ -225,13 +228,13 @@ def settle(
     return settled, tangent
 
 
-def _in_rounds(start, model, seen, free, held, rounds) -> tuple[Settled, Tangent]:
+def _in_rounds(start, model, seen, free, held, rounds, known) -> tuple[Settled, Tangent]:
     def render(z):
         scale = model.scales(z)
         prediction, jacobian = linearise(z, held, scale, model, seen)
         return Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
 
-    tangent = render(start)
+    tangent = known.pop() if known else render(start)
     sigma, likelihood = best_sigma(tangent.prediction, seen)
     best = Settled(start, sigma, likelihood, False)
     part = 1.0

@@ -119,18 +119,15 @@ def found_in(
     point = first.point
     if rays and pass_scale is None:
         say("a light pass of half the size")
-        args = (model, picture, reading.unknown, texture, free, held, seed)
-        whole = _in_turns(first, SOME, *args)
         # On a copy of that size shadows were those of such a pass.
         smaller = (inputs.shrink_mask(mask, HALF) for mask in (open_, looked.coarse))
         halved = [_solved(begin.with_mask(mask), noises, free, held, model) for mask in smaller]
-        nearest = min(halved, key=lambda read: read.point.cost)
-        half = _in_turns(nearest, SOME, *args)
-        if half.point.cost < whole.point.cost - DOUBT:
-            # Its shadows are other ones; those of a pass as large as the picture are known.
-            pass_scale, first = HALF, nearest
-            point, mask, seen = _in_turns(half, TURNS, *args)
-            picture = dataclasses.replace(picture, mask=mask)
+        likelier = _likelier(
+            first, halved, model, picture, reading.unknown, texture, free, held, seed
+        )
+        if likelier is not None:
+            first, (point, mask, seen) = likelier
+            picture, pass_scale = dataclasses.replace(picture, mask=mask), HALF
             notes += (COARSE,)
     settled, tangent = search.settle(point.coordinates, model, seen, free, held, rounds=rounds)
     at = _with_ranges(evidence(settled, tangent, seen), model.ranges(settled.coordinates))
@@ -142,13 +139,15 @@ def found_in(
         remarks.append(DISAGREE.format(*looked.starts_agreed))
     if hidden:
         remarks.append(HIDDEN)
-    shifts = []
-    for mask in _rivals(open_, np.asarray(reading.picture.mask)):
-        # As far from what was found as the rival is from what was first thought.
-        rival = picture.mask + inputs.shrink_mask(mask, pass_scale or 1.0) - first.mask
-        shifts.append(
-            _shift(settled, tangent, model, seen, free, held, rival.clip(0, 1).astype(np.float32))
-        )
+    # As far from what was found as the rivals are from what was first thought.
+    rivals = (
+        picture.mask + inputs.shrink_mask(mask, pass_scale or 1.0) - first.mask
+        for mask in _rivals(open_, np.asarray(reading.picture.mask))
+    )
+    shifts = [
+        _shift(settled, tangent, model, seen, free, held, rival.clip(0, 1).astype(np.float32))
+        for rival in rivals
+    ]
     # A mask that may explain more takes the light with it.
     shifts.append(np.where(free, point.coordinates - first.point.coordinates, 0.0))
     if free[DENSITY]:
@@ -178,6 +177,29 @@ def _solved(
     for sigma in noises:
         point = solve(point.coordinates, free, held, model, read.seen, sigma)
     return read._replace(point=point)
+
+
+def _likelier(
+    first: _Read,
+    others: Sequence[_Read],
+    model: DiscLight,
+    picture: Picture,
+    unknown: np.ndarray,
+    texture: float,
+    free: np.ndarray,
+    held: np.ndarray,
+    seed: int,
+) -> tuple[_Read, _Read] | None:
+    """Whichever of ``others``, masks of another size, explains more than ``first`` once each has
+    the shadows that suit it, before and after those were found; None where none does. Those of a
+    pass as large as the picture are known, and not looked for further."""
+    args = (model, picture, unknown, texture, free, held, seed)
+    own = _in_turns(first, SOME, *args)
+    nearest = min(others, key=lambda read: read.point.cost)
+    other = _in_turns(nearest, SOME, *args)
+    if not other.point.cost < own.point.cost - DOUBT:
+        return None
+    return nearest, _in_turns(other, TURNS, *args)
 
 
 def _in_turns(
