@@ -75,7 +75,8 @@ def _likeliest(prediction, lo, hi, middle, first, last, part_of: int, foreign: f
         shift = 0.5 * (before - after) / jnp.where(parabola, bend, 1.0)
         best = sigmas[at] * jnp.exp(jnp.where(parabola, step * shift, 0.0))
         best = jnp.clip(best, SIGMAS[0], SIGMAS[-1]).astype(middle.dtype)
-        return best, jnp.where(k == first, inside, within)
+        # Less than the least there is not to be had.
+        return best, jnp.where(k == first, inside | (sigmas[at] <= SIGMAS[0]), within)
 
     sigma, within = jax.lax.fori_loop(first, last + 1, finer, (middle, jnp.bool_(True)))
     return jnp.stack([sigma, _total(*values, sigma, foreign), within.astype(sigma.dtype)])
@@ -274,29 +275,39 @@ def aim(
     """Where the tangent's likelihood is largest, with the tangent taken there."""
     z, sigma, likelihood = at.coordinates, at.sigma, at.log_likelihood
     lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
+    slack = np.zeros(0, np.float32)
     for _ in range(5):
         rows, walls = slice(None), (seen.lo, seen.hi)
         if sigma < EXPLAINED:
-            rows = _near_walls(tangent.prediction, lo, hi)
+            slack = slack if len(slack) else _slack(tangent.prediction, lo, hi)
+            rows = _least(slack)
             walls = lo[rows], hi[rows]
         moved, jacobian = tangent.moved(z - at.coordinates, rows), tangent.jacobian[:, rows]
-        z = solve_tangent(
+        there = solve_tangent(
             z, free, model, tangent.scale, moved, jacobian, *walls, sigma, seen.foreign
         ).coordinates
-        moved = tangent.moved(z - at.coordinates)
-        before, (sigma, likelihood) = sigma, best_sigma(moved, seen, near=sigma)
+        moved = tangent.moved(there - at.coordinates)
+        suits, found = best_sigma(moved, seen, near=sigma)
+        if not isinstance(rows, slice) and found < likelihood:
+            # Values that were left out object: from now on they have a say.
+            slack = np.minimum(slack, _slack(moved, lo, hi))
+            continue
+        z, before, sigma, likelihood = there, sigma, suits, found
         if abs(sigma - before) < 0.05 * before:
             break
     if likelihood <= at.log_likelihood:
         return at._replace(quiet=True), tangent
+    moved = tangent.moved(z - at.coordinates)
     return Settled(z, sigma, likelihood, True), tangent._replace(prediction=moved)
 
 
-def _near_walls(prediction: np.ndarray, lo: np.ndarray, hi: np.ndarray) -> np.ndarray | slice:
+def _slack(prediction: np.ndarray, lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
+    """(m,) levels from the nearer end of each interval, less than 0 outside."""
+    return np.minimum(prediction - lo, hi - prediction)
+
+
+def _least(slack: np.ndarray) -> np.ndarray | slice:
     """The values nearest to the ends of their intervals. Where rounding is all the noise there is,
     the others are far inside and have no say."""
-    count = max(WALLS, len(prediction) // 16)
-    if len(prediction) <= count:
-        return slice(None)
-    slack = np.minimum(prediction - lo, hi - prediction)
-    return np.argpartition(slack, count)[:count]
+    count = max(WALLS, len(slack) // 16)
+    return slice(None) if len(slack) <= count else np.argpartition(slack, count)[:count]
