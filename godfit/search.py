@@ -275,11 +275,10 @@ def aim(
     """Where the tangent's likelihood is largest, with the tangent taken there."""
     z, sigma, likelihood = at.coordinates, at.sigma, at.log_likelihood
     lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
-    slack = np.zeros(0, np.float32)
+    slack = _slack(tangent.prediction, lo, hi)
     for _ in range(5):
         rows, walls = slice(None), (seen.lo, seen.hi)
         if sigma < EXPLAINED:
-            slack = slack if len(slack) else _slack(tangent.prediction, lo, hi)
             rows = _least(slack)
             walls = lo[rows], hi[rows]
         moved, jacobian = tangent.moved(z - at.coordinates, rows), tangent.jacobian[:, rows]
