@@ -117,7 +117,7 @@ def fit(
     model = model or (Mitchell.name if canvas is None else Flatland.name)
     inputs.check_model(model, free, shader, lights, fov, distance)
     if model == Flatland.name:
-        _check_plane(canvas, mask, scene, background, samples, pass_scale)
+        plane.check(canvas, mask, scene, background, samples, pass_scale)
     elif mask is not None and scene is not None:
         raise InputError("fit: expected a mask or a scene, got both")
     elif mask is None and scene is None:
@@ -139,21 +139,6 @@ def fit(
             )  # fmt: skip
         except jax.errors.JaxRuntimeError as error:
             raise InputError.within(error) or error from error
-
-
-def _check_plane(canvas, mask, scene, background, samples, pass_scale) -> None:
-    """Raise InputError for what does not go with the light in the plane."""
-    if canvas is None:
-        raise InputError(f"canvas: expected one with the model {Flatland.name}, got none; give one")
-    others = {
-        "mask": mask, "scene": scene, "background": background, "samples": samples,
-        "pass_scale": pass_scale,
-    }  # fmt: skip
-    for name, value in others.items():
-        if value is not None:
-            raise InputError(
-                f"{name}: expected none with the model {Flatland.name}, got one; leave it out"
-            )
 
 
 def _fit(

@@ -123,7 +123,11 @@ def found_in(
         smaller = (inputs.shrink_mask(mask, HALF) for mask in (open_, looked.coarse))
         halved = [_solved(begin.with_mask(mask), noises, free, held, model) for mask in smaller]
         likelier = _likelier(
-            first, halved, model, picture, reading.unknown, texture, free, held, seed
+            first,
+            halved,
+            lambda read, turns: _in_turns(
+                read, turns, model, picture, reading.unknown, texture, free, held, seed
+            ),
         )
         if likelier is not None:
             first, (point, mask, seen) = likelier
@@ -180,26 +184,17 @@ def _solved(
 
 
 def _likelier(
-    first: _Read,
-    others: Sequence[_Read],
-    model: DiscLight,
-    picture: Picture,
-    unknown: np.ndarray,
-    texture: float,
-    free: np.ndarray,
-    held: np.ndarray,
-    seed: int,
+    first: _Read, others: Sequence[_Read], in_turns: Callable[[_Read, int], _Read]
 ) -> tuple[_Read, _Read] | None:
     """Whichever of ``others``, masks of another size, explains more than ``first`` once each has
     the shadows that suit it, before and after those were found; None where none does. Those of a
     pass as large as the picture are known, and not looked for further."""
-    args = (model, picture, unknown, texture, free, held, seed)
-    own = _in_turns(first, SOME, *args)
+    own = in_turns(first, SOME)
     nearest = min(others, key=lambda read: read.point.cost)
-    other = _in_turns(nearest, SOME, *args)
+    other = in_turns(nearest, SOME)
     if not other.point.cost < own.point.cost - DOUBT:
         return None
-    return nearest, _in_turns(other, TURNS, *args)
+    return nearest, in_turns(other, TURNS)
 
 
 def _in_turns(

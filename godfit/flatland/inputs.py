@@ -30,6 +30,21 @@ OPTIONS = ("rays", "method", "steps", "jitter", "grain", "seed", "published")
 Source = str | os.PathLike[str] | Canvas
 
 
+def check(canvas, mask, scene, background, samples, pass_scale) -> None:
+    """Raise InputError for what does not go with the light in the plane."""
+    if canvas is None:
+        raise InputError(f"canvas: expected one with the model {Flatland.name}, got none; give one")
+    others = {
+        "mask": mask, "scene": scene, "background": background, "samples": samples,
+        "pass_scale": pass_scale,
+    }  # fmt: skip
+    for name, value in others.items():
+        if value is not None:
+            raise InputError(
+                f"{name}: expected none with the model {Flatland.name}, got one; leave it out"
+            )
+
+
 def prepared(
     target: Image, source: Source, rays: int | None, valid: np.ndarray | None
 ) -> tuple[Flatland, Picture, Image]:
