@@ -275,7 +275,7 @@ def aim(
     """Where the tangent's likelihood is largest, with the tangent taken there."""
     z, sigma, likelihood = at.coordinates, at.sigma, at.log_likelihood
     lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
-    slack = _slack(tangent.prediction, lo, hi)
+    levels, slack = tangent.prediction, _slack(tangent.prediction, lo, hi)
     for _ in range(5):
         rows, walls = slice(None), (seen.lo, seen.hi)
         if sigma < EXPLAINED:
@@ -291,13 +291,12 @@ def aim(
             # Values that were left out object: from now on they have a say.
             slack = np.minimum(slack, _slack(moved, lo, hi))
             continue
-        z, before, sigma, likelihood = there, sigma, suits, found
+        z, levels, before, sigma, likelihood = there, moved, sigma, suits, found
         if abs(sigma - before) < 0.05 * before:
             break
     if likelihood <= at.log_likelihood:
         return at._replace(quiet=True), tangent
-    moved = tangent.moved(z - at.coordinates)
-    return Settled(z, sigma, likelihood, True), tangent._replace(prediction=moved)
+    return Settled(z, sigma, likelihood, True), tangent._replace(prediction=levels)
 
 
 def _slack(prediction: np.ndarray, lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
