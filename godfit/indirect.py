@@ -39,8 +39,11 @@ CORRECTIONS = 8
 # Of what those pictures differ among themselves, the most by which the answer's may differ from the
 # target.
 ALIKE = 0.85
-# (h, w, c) levels of a model's picture after all that the target went through.
-Process = Callable[[AbstractModel], np.ndarray]
+# What lies in the middle of two levels to within this much was rounded up or down, nobody knows.
+TIE = 1e-3
+# (h, w, c) levels of a model's picture after all that the target went through; what of it is not
+# known is drawn.
+Process = Callable[[AbstractModel, np.random.Generator], np.ndarray]
 
 
 def process_of(picture: Picture, model: AbstractModel, sigma: float) -> Process | None:
@@ -51,14 +54,18 @@ def process_of(picture: Picture, model: AbstractModel, sigma: float) -> Process 
         settings = settings_of(picture.levels) if sigma > WITHIN_ROUNDING else None
         if settings is None:
             return None
-        return lambda at: compressed(picture.rendered(at), *settings)
+        return lambda at, rng: compressed(picture.rendered(at), *settings)
     if picture.mask.shape[:2] != picture.size and isinstance(model, Mitchell):
-        return lambda at: enlarged_bytes(picture, at)
+        return lambda at, rng: enlarged_bytes(picture, at, rng)
     return None
 
 
-def enlarged_bytes(picture: Picture, model: AbstractModel) -> np.ndarray:
-    """(h, w, c) levels, rounded, of a picture whose light pass was stored in bytes and enlarged."""
+def enlarged_bytes(picture: Picture, model: AbstractModel, rng: np.random.Generator) -> np.ndarray:
+    """(h, w, c) levels, rounded, of a picture whose light pass was stored in bytes and enlarged.
+
+    Between bytes that were enlarged twofold, one value in sixteen lies in the middle of two levels,
+    and the last bit of the arithmetic decides. All such values rounded alike would shift the
+    picture by more than the fit resolves, so how many go up is drawn for each picture."""
     assert isinstance(model, Mitchell)
     low = np.atleast_3d(render(model, picture.mask, None, picture.mask.shape[:2]))
     stored = np.floor(low * LEVELS + 0.5) / LEVELS
@@ -67,7 +74,9 @@ def enlarged_bytes(picture: Picture, model: AbstractModel) -> np.ndarray:
     background = None if picture.background is None else jnp.asarray(picture.background)
     image = np.asarray(model.composite(jnp.asarray(light, jnp.float32), background, None))
     levels = LEVELS * np.asarray(encode(np.clip(image, 0, 1), picture.transfer))
-    return np.floor(np.broadcast_to(levels, picture.levels.shape) + 0.5).astype(np.float32)
+    levels = np.broadcast_to(levels, picture.levels.shape)
+    up = rng.uniform(size=levels.shape) < rng.uniform()
+    return np.floor(levels + 0.5 + np.where(up, TIE, -TIE)).astype(np.float32)
 
 
 def corrected(found: Found) -> Found:
@@ -88,7 +97,7 @@ def corrected(found: Found) -> Found:
             break
     else:
         return found
-    off = _processed_at(found, z, process) - picture.levels
+    off = _processed_at(found, z, process, np.random.default_rng(1)) - picture.levels
     if np.sqrt(np.mean(off[picture.valid] ** 2)) > ALIKE * max(apart, 2 * WITHIN_ROUNDING):
         return found
     tangent = _tangent(found, z)
@@ -109,12 +118,14 @@ def _tangent(found: Found, z: np.ndarray) -> Tangent:
     return Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
 
 
-def _processed_at(found: Found, z: np.ndarray, process: Process) -> np.ndarray:
+def _processed_at(
+    found: Found, z: np.ndarray, process: Process, rng: np.random.Generator
+) -> np.ndarray:
     """(h, w, c) the picture of coordinates ``z`` after the process; the target's where that is
     ignored."""
     picture = found.picture
     model = found.model.moved(jnp.asarray(z, jnp.float32), jnp.asarray(found.held, jnp.float32))
-    return np.where(picture.valid[..., None], process(model), picture.levels)
+    return np.where(picture.valid[..., None], process(model, rng), picture.levels)
 
 
 def _simulated(
@@ -149,7 +160,8 @@ def _simulated(
             block = np.atleast_2d(np.cov(np.array(errors)[:, free].T))
             step[free] = rng.multivariate_normal(np.zeros(len(free)), block, check_valid="ignore")
         there = np.clip(z + step * tangent.scale, *found.model.bounds())
-        levels = _processed_at(found, there, process).reshape(-1, channels)[pixels].ravel()[rows]
+        levels = _processed_at(found, there, process, rng).reshape(-1, channels)[pixels]
+        levels = levels.ravel()[rows]
         lo, hi = levels - HALF, levels + HALF
         lo, hi = np.where(lo < 0, -np.inf, lo), np.where(hi > LEVELS, np.inf, hi)
         end = estimate(lo.astype(np.float32), hi.astype(np.float32))

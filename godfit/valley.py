@@ -221,6 +221,12 @@ def reseed(
     points = side_by_side(
         lambda p: solve(p.coordinates, free, held, model, few, sigma), begun[:tries]
     )
+    if len(points) > SETTLED:
+        # What they were solved on is too little to say which of them are the deepest.
+        ends = np.array([points[i % len(points)].coordinates for i in range(tries)], np.float32)
+        levels = predictions(jnp.asarray(ends), held, model, seen)
+        costs = np.asarray(_costs(levels, seen, jnp.float32(sigma)))
+        points = [p._replace(cost=float(c)) for p, c in zip(points, costs, strict=False)]
     points = _apart(points, along, dip / 20)[:SETTLED]
     if points and start.sigma > sigma:
         # With a noise of their own, half of n values times the logarithm is what they are behind.
