@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float
 from godfit.likelihood import deviance_residuals, interval
 from godfit.models import AbstractModel, Values, Vector
 from godfit.observation import Observation
+from godfit.one_thread import one_thread
 
 Switches = Bool[Array, " p"] | Bool[np.ndarray, " p"]
 
@@ -124,7 +125,11 @@ def solve(
     the answer, without them: the way there may lead outside, where the sum is as smooth."""
 
     def run(z, moving):
-        return _least_squares(z, moving, model.scales(z), held, model, seen, np.float32(sigma))
+        scale = model.scales(z)
+        with one_thread():
+            found = _least_squares(z, moving, scale, held, model, seen, np.float32(sigma))
+            # JAX goes on before it is done.
+            return jax.block_until_ready(found)
 
     if not bounded:
         value, cost, settled, steps = run(start, free)

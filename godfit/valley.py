@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from godfit.likelihood import deviance_residuals
 from godfit.models import AbstractModel, Vector
 from godfit.observation import Observation, Picture
+from godfit.one_thread import one_thread
 from godfit.search import LADDER, PIXELS, Settled, settle
 from godfit.side_by_side import side_by_side
 from godfit.solver import Point, solve
@@ -56,7 +57,7 @@ def rivals(
     lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
     at = start.coordinates
     switch = free.astype(np.float32)
-    follow = np.asarray(_valley(jnp.asarray(at), switch, held, along, model, smooth))
+    follow = _valley(at, switch, held, along, model, smooth)
     away = dip * np.linspace(-RIVAL_DIPS, RIVAL_DIPS, 10 * RIVAL_DIPS)
     line = np.clip(at + np.outer(away, follow), lower, upper)
     sigma = jnp.float32(start.sigma)
@@ -75,8 +76,21 @@ def rivals(
     return [end.coordinates for end in ends if end.cost < own + DOUBT]
 
 
-@eqx.filter_jit
 def _valley(
+    at: np.ndarray,
+    free: np.ndarray,
+    held: np.ndarray,
+    along: int,
+    model: AbstractModel,
+    seen: Observation,
+) -> np.ndarray:
+    """(p,) how the other coordinates follow coordinate ``along`` on the valley's floor."""
+    with one_thread():
+        return np.asarray(_floor(jnp.asarray(at), free, held, along, model, seen))
+
+
+@eqx.filter_jit
+def _floor(
     coordinates: Vector,
     free: Vector,
     held: Vector,
@@ -84,7 +98,6 @@ def _valley(
     model: AbstractModel,
     seen: Observation,
 ) -> Float[Array, " p"]:
-    """How the other coordinates follow coordinate ``along`` on the valley's floor."""
     jacobian = jax.jacfwd(lambda z: seen.predict(model.moved(z, held)))(coordinates)
     inside = jnp.isfinite(seen.lo) & jnp.isfinite(seen.hi)
     jacobian = jnp.where(inside[:, None], jacobian, 0.0) * free[None]
@@ -196,7 +209,7 @@ def reseed(
     # right but for this.
     switch = free.astype(np.float32)
     switch[along] = 1
-    follow = np.asarray(_valley(jnp.asarray(at), switch, held, along, model, smooth))
+    follow = _valley(at, switch, held, along, model, smooth)
     # As sharp as the start is good: a blunter likelihood cannot tell the dips apart, a sharper one
     # sees nothing of those whose bottom lies a little beside the line.
     sigma = float(np.clip(start.sigma, 0.02, 0.3))
