@@ -17,10 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from godfit.models import AbstractModel, Mitchell, Vector, at_pixels, columns_rows
+from godfit.models import AbstractModel, Mitchell, Vector
 from godfit.parameters import SCATTERING, Parameter, light_parameters
 from godfit.radial.geometric import is_zero
 from godfit.taps import Convention, Taps
+from godfit.upsample import Texels, at_pixels, columns_rows
 
 SHAPE = (
     Parameter("radius", "R", "of the height", 0.0, np.inf, "of the light's disc"),
@@ -183,15 +184,17 @@ class DiscLight(AbstractModel):
         *,
         size: tuple[int, int] | None = None,
         pixels: Int[Array, " n"] | None = None,
+        texels: Texels | None = None,
         method: str = "auto",
     ) -> Float[Array, "..."]:
         """See ``Mitchell``; ``mask`` (h, w) is what of the picture is open."""
-        light = self.light_pass(mask, size=size, pixels=pixels, method=method)
+        light = self.light_pass(mask, size=size, pixels=pixels, texels=texels, method=method)
         return self.composite(light, size or (mask.shape[0], mask.shape[1]), pixels)
 
-    def light_pass(self, mask, *, size=None, pixels=None, method="auto"):
+    def light_pass(self, mask, *, size=None, pixels=None, texels=None, method="auto"):
         """The light pass alone, (h, w) or (n,)."""
-        return at_pixels(functools.partial(self._scattered, method=method), mask, size, pixels)
+        scattered = functools.partial(self._scattered, method=method)
+        return at_pixels(scattered, mask, size, pixels, texels)
 
     def _scattered(self, open_, at=None, method="auto"):
         """The sum over ``occlusion``, everywhere or at ``at`` (..., 2).

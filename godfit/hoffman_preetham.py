@@ -16,10 +16,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from godfit.atmosphere import LEAST_TURBIDITY, Air, hoffman_preetham, zenith_angle
-from godfit.models import AbstractModel, Vector, at_pixels
+from godfit.models import AbstractModel, Vector
 from godfit.parameters import Parameter, light_parameters
 from godfit.radial import radial_sum
 from godfit.taps import average
+from godfit.upsample import Texels, at_pixels
 
 AIR = (
     Parameter("e_sun", "E", "1", 0.0, math.inf, "the sun's irradiance above the air"),
@@ -171,6 +172,7 @@ class HoffmanPreetham(AbstractModel):
         *,
         size: tuple[int, int] | None = None,
         pixels: Int[Array, " n"] | None = None,
+        texels: Texels | None = None,
         method: str = "auto",
     ) -> Float[Array, "..."]:
         """(H, W, 3) or (n, 3), linear, not clamped; see ``Mitchell.__call__``. ``background`` is
@@ -180,7 +182,7 @@ class HoffmanPreetham(AbstractModel):
         def unoccluded(mask, at):
             return self.openness(mask, at, method)
 
-        lit = at_pixels(unoccluded, mask, size, pixels)
+        lit = at_pixels(unoccluded, mask, size, pixels, texels)
         lit = lit.reshape(-1, mask.shape[2] if mask.ndim == 3 else 1)
         where = jnp.arange(size[0] * size[1]) if pixels is None else pixels
         distance, direction = self.view.seen(size, where)

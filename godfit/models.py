@@ -8,22 +8,17 @@ from __future__ import annotations
 
 import functools
 from abc import abstractmethod
-from collections.abc import Callable
 from typing import ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from godfit.parameters import SCATTERING, Parameter, table
 from godfit.radial import radial_sum
-from godfit.radial.reference import bilinear
 from godfit.taps import Convention, Taps, convention
-
-# A point by itself costs as much as so many pixels of a whole picture, and more.
-POINT = 4
+from godfit.upsample import Texels, at_pixels
 
 # By coordinate or by parameter; what lives between two calls is kept as a numpy array.
 Vector = Float[Array, " p"] | Float[np.ndarray, " p"]
@@ -104,6 +99,7 @@ class AbstractModel(eqx.Module):
         *,
         size: tuple[int, int] | None = None,
         pixels: Int[Array, " n"] | None = None,
+        texels: Texels | None = None,
     ) -> Float[Array, "..."]:
         """The image; see ``Mitchell``."""
 
@@ -247,6 +243,7 @@ class Mitchell(AbstractModel):
         *,
         size: tuple[int, int] | None = None,
         pixels: Int[Array, " n"] | None = None,
+        texels: Texels | None = None,
         method: str = "auto",
     ) -> Float[Array, "..."]:
         """Light pass, upsampled if need be, on the background; linear, not clamped.
@@ -259,11 +256,14 @@ class Mitchell(AbstractModel):
           lower resolution: it is rendered at the mask's size, clamped to [0, 1] as its 8-bit
           texture is, and read bilinearly.
         - `pixels`: (n,) row-major indices of the pixels wanted; by default all.
+        - `texels`: what these pixels read of a smaller light pass, all of which is rendered where
+          this is not given.
         - `method`: see `godfit.radial.radial_sum`.
 
         **Returns:** (H, W) or (n,), then the channels of the mask or the background.
         """
-        light = at_pixels(functools.partial(self.light_pass, method=method), mask, size, pixels)
+        light_pass = functools.partial(self.light_pass, method=method)
+        light = at_pixels(light_pass, mask, size, pixels, texels)
         return self.composite(light, background, pixels)
 
     def composite(
@@ -284,54 +284,3 @@ class Mitchell(AbstractModel):
         if self.convention.blend == "screen":
             return background + light - background * light
         return self.convention.background_gain * background + light
-
-
-def at_pixels(
-    light_pass: Callable[..., Float[Array, "..."]],
-    mask: Float[Array, "h w"] | Float[Array, "h w c"],
-    size: tuple[int, int] | None,
-    pixels: Int[Array, " n"] | None,
-) -> Float[Array, "..."]:
-    """``light_pass(mask, at)`` at ``pixels`` of an image of ``size``; see ``Mitchell.__call__``."""
-    low = (mask.shape[0], mask.shape[1])
-    if size is not None and size != low:
-        return _upsampled(light_pass, mask, size, pixels)
-    if pixels is None or POINT * pixels.shape[0] >= low[0] * low[1]:
-        light = light_pass(mask, None)
-        return light if pixels is None else light.reshape(-1, *light.shape[2:])[pixels]
-    return light_pass(mask, columns_rows(pixels, low[1], mask.dtype))
-
-
-def _upsampled(light_pass, mask, size, pixels):
-    """Bilinear read of the light pass rendered at the mask's own size."""
-    (h, w), (height, width) = mask.shape[:2], size
-    if pixels is None:
-        pixels = jnp.arange(height * width)
-        shape = size
-    else:
-        shape = pixels.shape
-    at = columns_rows(pixels, width, mask.dtype)
-    x, y = (at[:, 0] + 0.5) * w / width - 0.5, (at[:, 1] + 0.5) * h / height - 0.5
-    # A pixel reads four texels.
-    if 4 * POINT * pixels.shape[0] >= h * w:
-        low = jnp.clip(light_pass(mask, None), 0, 1)
-        read = functools.partial(bilinear, x=x, y=y)
-        out = read(low) if low.ndim == 2 else jax.vmap(read, -1, -1)(low)
-    else:
-        # A few pixels need no whole picture: only the four texels about each.
-        i, j = jnp.floor(x), jnp.floor(y)
-        columns, rows = (
-            jnp.clip(i[None] + jnp.array([[0], [1], [0], [1]]), 0, w - 1),
-            jnp.clip(j[None] + jnp.array([[0], [0], [1], [1]]), 0, h - 1),
-        )
-        texels = light_pass(mask, jnp.stack([columns, rows], -1))
-        texels = jnp.clip(texels, 0, 1)
-        fx, fy = x - i, y - j
-        share = jnp.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy])
-        out = jnp.einsum("kn,kn...->n...", share, texels)
-    return out.reshape(*shape, *mask.shape[2:])
-
-
-def columns_rows(pixels, width, dtype):
-    """Row-major indices (n,) -> (n, 2) columns and rows."""
-    return jnp.stack([pixels % width, pixels // width], -1).astype(dtype)

@@ -16,6 +16,7 @@ from scipy import ndimage
 
 from godfit.image import Image, encode
 from godfit.models import AbstractModel
+from godfit.upsample import Texels
 
 LEVELS = 255.0
 # Larger pictures are searched at this size: coordinates do not depend on it.
@@ -40,14 +41,23 @@ class Observation(eqx.Module):
     whole: bool = eqx.field(static=True)
     # Share of pixels that may be of any level, see ``likelihood.py``.
     foreign: float = eqx.field(static=True, default=0.0)
+    # What the pixels read of a light pass that is smaller than the picture, if they are few.
+    texels: Texels | None = None
 
     def predict(self, model: AbstractModel) -> Float[Array, " m"]:
         """Levels of the model's image before rounding, (pixels x channels,)."""
         some = None if self.whole else self.pixels
-        image = model(self.mask, self.background, size=self.size, pixels=some)
+        # Models that know of no smaller light pass are not asked for its texels.
+        few = {} if self.texels is None else {"texels": self.texels}
+        image = model(self.mask, self.background, size=self.size, pixels=some, **few)
         image = image.reshape(self.pixels.shape[0], -1)
         image = jnp.broadcast_to(image, (self.pixels.shape[0], self.channels))
         return LEVELS * encode(image, self.transfer).reshape(-1)
+
+    def with_mask(self, mask: np.ndarray) -> Observation:
+        """The same pixels of the same picture under another mask, of any size."""
+        texels = _texels(np.asarray(self.pixels), self.size, mask)
+        return dataclasses.replace(self, mask=jnp.asarray(mask), texels=texels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,6 +192,7 @@ class Picture:
             self.transfer,
             bool(np.array_equal(pixels, np.arange(self.size[0] * self.size[1]))),
             self.foreign,
+            _texels(pixels, self.size, mask),
         )
 
     def _share_clipped(self, pixels: np.ndarray, reach: int) -> np.ndarray:
@@ -249,6 +260,11 @@ class Picture:
             (h, w), (rows, columns) = self.size, small.size
             slope = slope[np.arange(h) * rows // h][:, np.arange(w) * columns // w]
         return slope.reshape(-1).astype(np.float32)
+
+
+def _texels(pixels: np.ndarray, size: tuple[int, int], mask: np.ndarray) -> Texels | None:
+    low = mask.shape[0], mask.shape[1]
+    return None if low == size else Texels.of(pixels, size, low)
 
 
 def render(

@@ -8,11 +8,11 @@ they look like without the light is anybody's guess.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
@@ -24,6 +24,7 @@ from godfit.models import Mitchell
 from godfit.observation import LEVELS, Observation, Picture, shrink
 from godfit.occluders import refined
 from godfit.segment import Segments, grown, panels, segments
+from godfit.side_by_side import side_by_side
 from godfit.solver import Point, solve
 
 # Share of pixels that the model may be silent about without being told.
@@ -166,17 +167,7 @@ def look(
     say(f"{len(lights)} lights")
     begun = screen_disc.starts(small, small.mask, TERMS[reading.degree], lights, seed, STARTS)
     seen = small.observe(small.informative(FEW, seed))
-    points: list[Point] = []
-    for start in begun:
-        for veil in VEILS:
-            z = coordinates_of(start | _veiled(start, veil), model)
-            z = with_background(z, still, model, seen)
-            # Wide first: what is far off must not pass for foreign.
-            z = solve(z, free, still, model, seen, 4 * COARSE).coordinates
-            points.append(solve(z, free, still, model, seen, COARSE))
-    points.sort(key=lambda p: p.cost)
-    again = [solve(p.coordinates, free, still, model, seen, COARSE) for p in points[:AGAIN]]
-    points = sorted([*again, *points[AGAIN:]], key=lambda p: p.cost)
+    points = _rough(begun, free, still, model, seen)
     few, model = model, _with_taps(template(shading, picture.channels, reading.degree), TAPS)
     points = [p._replace(coordinates=_at_taps(p.coordinates, still, few, model)) for p in points]
     masks = _reaching_into_glare(small)
@@ -185,19 +176,13 @@ def look(
     say(f"{len(begun_with)} of {len(points)} starts and {len(masks)} masks, with their shadows")
     seen = small.observe(small.informative(TRIAL, seed + 1))
     args = (unknown, texture, free, still, model, seen, seed)
-    trials = []
-    for point, prior in begun_with:
-        at = dataclasses.replace(seen, mask=jnp.asarray(prior))
-        for sigma in BEFORE:
-            point = _descend(point, free, still, model, at, max(sigma, texture))
-        tried, _ = _with_shadows(point, small, prior, WITH, *args)
-        trials.append((tried, prior))
+    trials = side_by_side(lambda begin: _trial(*begin, small, *args), begun_with)
     trials.sort(key=lambda t: t[0].cost)
     trials = [t for t in trials[:FOLLOWED] if t[0].cost < WORSE * trials[0][0].cost]
     say(f"{len(trials)} of them further")
     seen = small.observe(small.informative(MORE, seed + 1))
     args = (unknown, texture, free, still, model, seen, seed)
-    ended = [_with_shadows(p, small, prior, SIGMAS, *args) for p, prior in trials]
+    ended = side_by_side(lambda t: _with_shadows(t[0], small, t[1], SIGMAS, *args), trials)
     point, mask = min(ended, key=lambda e: e[0].cost)
     agreed = sum(_near(p, point) for p in points)
     coarse = _enlarged(mask, small.mask, picture.mask)
@@ -220,15 +205,15 @@ def look(
 
 
 def blocks(picture: Picture, seed: int) -> np.ndarray:
-    """Sorted indices of the valid pixels in blocks drawn at random, all where there are few."""
+    """Sorted indices of LAST valid pixels, in blocks drawn at random; all where there are fewer."""
     h, w = picture.size
     rows, columns = -(-h // ROWS), -(-w // COLUMNS)
-    order = np.random.default_rng(seed).permutation(rows * columns)
-    rank = np.empty(rows * columns, int)
-    rank[order] = np.arange(len(order))
-    rank = np.kron(rank.reshape(rows, columns), np.ones((ROWS, COLUMNS), int))[:h, :w]
-    count = np.cumsum(np.bincount(rank[picture.valid], minlength=rows * columns))
-    return np.flatnonzero(picture.valid & (rank <= np.searchsorted(count, LAST)))
+    rank = np.random.default_rng(seed).permutation(rows * columns).reshape(rows, columns)
+    rank = np.kron(rank, np.ones((ROWS, COLUMNS), int))[:h, :w].ravel()
+    pixels = np.flatnonzero(picture.valid)
+    # Always as many, the last block cut off: for every other number the program would be compiled
+    # anew.
+    return np.sort(pixels[np.argsort(rank[pixels], kind="stable")[:LAST]])
 
 
 def _veiled(start: Mapping[str, float], veil: float | None) -> dict[str, float]:
@@ -254,6 +239,51 @@ def _reaching_into_glare(small: Picture) -> list[np.ndarray]:
     return masks
 
 
+def _rough(
+    begun: list[dict[str, float]],
+    free: np.ndarray,
+    held: np.ndarray,
+    model: DiscLight,
+    seen: Observation,
+) -> list[Point]:
+    """Solved from every start and veil, cheapest first."""
+
+    def from_start(begin: tuple[dict[str, float], float | None]) -> Point:
+        start, veil = begin
+        z = with_background(coordinates_of(start | _veiled(start, veil), model), held, model, seen)
+        # Wide first: what is far off must not pass for foreign.
+        z = solve(z, free, held, model, seen, 4 * COARSE).coordinates
+        return solve(z, free, held, model, seen, COARSE)
+
+    def further(point: Point) -> Point:
+        return solve(point.coordinates, free, held, model, seen, COARSE)
+
+    points = side_by_side(from_start, itertools.product(begun, VEILS))
+    points.sort(key=lambda p: p.cost)
+    points = [*side_by_side(further, points[:AGAIN]), *points[AGAIN:]]
+    return sorted(points, key=lambda p: p.cost)
+
+
+def _trial(
+    point: Point,
+    prior: np.ndarray,
+    small: Picture,
+    unknown: np.ndarray,
+    texture: float,
+    free: np.ndarray,
+    held: np.ndarray,
+    model: DiscLight,
+    seen: Observation,
+    seed: int,
+) -> tuple[Point, np.ndarray]:
+    """Where a start ends under what may be open, ``prior`` (h, w), with its shadows; and that."""
+    at = seen.with_mask(prior)
+    for sigma in BEFORE:
+        point = _descend(point, free, held, model, at, max(sigma, texture))
+    args = (unknown, texture, free, held, model, seen, seed)
+    return _with_shadows(point, small, prior, WITH, *args)[0], prior
+
+
 def _with_shadows(
     point: Point,
     small: Picture,
@@ -274,7 +304,7 @@ def _with_shadows(
         at = model.moved(point.coordinates, held)
         mask = refined(at, small, unknown, prior, rows, seed, texture)
         small = dataclasses.replace(small, mask=mask)
-        seen = dataclasses.replace(seen, mask=jnp.asarray(small.mask))
+        seen = seen.with_mask(mask)
         point = _descend(point, free, held, model, seen, max(sigma, texture))
     return solve(point.coordinates, free, held, model, seen, max(1.0, texture)), small.mask
 

@@ -26,6 +26,7 @@ from godfit.screen import starts
 from godfit.search import PIXELS
 from godfit.solver import Point, solve
 from godfit.taps import Convention
+from godfit.upsample import Texels
 
 # Longest side of the copies on which geometry is looked for; taps, pixels and noise on the first.
 LADDER = (64, 128, 256)
@@ -157,6 +158,7 @@ class Staged(AbstractModel):
         *,
         size: tuple[int, int] | None = None,
         pixels: Int[Array, " n"] | None = None,
+        texels: Texels | None = None,
         method: str = "auto",
     ) -> Float[Array, "..."]:
         """See ``Mitchell``. Of ``mask`` only the shape counts: the scene is drawn at that size."""
@@ -165,7 +167,7 @@ class Staged(AbstractModel):
         # A light pass reads bytes; the derivative is that of the mask before they were rounded.
         drawn = drawn + jax.lax.stop_gradient(jnp.round(255 * drawn) / 255 - drawn)
         lit = eqx.tree_at(lambda m: m.light, self.shading, on_screen(scene)[None])
-        return lit(drawn, background, size=size, pixels=pixels, method=method)
+        return lit(drawn, background, size=size, pixels=pixels, texels=texels, method=method)
 
     def _across(self, offsets: Float[Array, " g"]) -> Float[Array, " g"]:
         """A light's distance and radius trade exactly: where both are free it keeps the distance at

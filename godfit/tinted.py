@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from godfit.models import AbstractModel, Mitchell, Vector, at_pixels
+from godfit.models import AbstractModel, Mitchell, Vector
 from godfit.parameters import Parameter
+from godfit.upsample import Texels, at_pixels
 
 TINT = (
     Parameter("red", "r", "of green", 0.0, math.inf, "the light's red against its green"),
@@ -93,9 +94,10 @@ class Tinted(AbstractModel):
         *,
         size: tuple[int, int] | None = None,
         pixels: Int[Array, " n"] | None = None,
+        texels: Texels | None = None,
     ) -> Float[Array, "..."]:
         """(H, W, 3) or (n, 3); see ``Mitchell.__call__``."""
-        light = at_pixels(self.shading.light_pass, mask, size, pixels)
+        light = at_pixels(self.shading.light_pass, mask, size, pixels, texels)
         if mask.ndim == 2:
             light = light[..., None]
         colour = jnp.stack([self.tint[0], jnp.ones_like(self.tint[0]), self.tint[1]])

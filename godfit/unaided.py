@@ -10,7 +10,6 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
@@ -23,6 +22,7 @@ from godfit.inference import Evidence, evidence
 from godfit.models import Mitchell
 from godfit.observation import Observation, Picture, shrink
 from godfit.occluders import refined
+from godfit.side_by_side import side_by_side
 from godfit.solver import Point, solve, solve_tangent
 from godfit.valley import DOUBT
 from godfit.verdict import Found
@@ -115,13 +115,16 @@ def found_in(
     begin = _Read(Point(looked.coordinates, np.inf, False, 0), picture.mask, seen)
     # At some noise first: where a copy's answer is a little off, rays must not pass for foreign.
     noises = [max(sigma, texture) for sigma in (NEAR if rays else NEAR[-1:])]
-    first = _solved(begin, noises, free, held, model)
-    point = first.point
+    masks = [picture.mask]
     if rays and pass_scale is None:
-        say("a light pass of half the size")
         # On a copy of that size shadows were those of such a pass.
-        smaller = (inputs.shrink_mask(mask, HALF) for mask in (open_, looked.coarse))
-        halved = [_solved(begin.with_mask(mask), noises, free, held, model) for mask in smaller]
+        masks += [inputs.shrink_mask(mask, HALF) for mask in (open_, looked.coarse)]
+    first, *halved = side_by_side(
+        lambda mask: _solved(begin.with_mask(mask), noises, free, held, model), masks
+    )
+    point = first.point
+    if halved:
+        say("a light pass of half the size")
         likelier = _likelier(
             first,
             halved,
@@ -170,7 +173,7 @@ class _Read(NamedTuple):
     seen: Observation
 
     def with_mask(self, mask: np.ndarray) -> _Read:
-        return _Read(self.point, mask, dataclasses.replace(self.seen, mask=jnp.asarray(mask)))
+        return _Read(self.point, mask, self.seen.with_mask(mask))
 
 
 def _solved(
@@ -261,7 +264,7 @@ def _shift(
     mask: np.ndarray,
 ) -> np.ndarray:
     """(p,) how far the answer moves where ``mask`` is the right one, on the tangent."""
-    other = dataclasses.replace(seen, mask=jnp.asarray(mask))
+    other = seen.with_mask(mask)
     prediction = np.asarray(predicted(settled.coordinates, held, model, other))
     lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
     # Where the other mask would make a pixel foreign it is not that mask that is right.

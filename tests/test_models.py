@@ -7,6 +7,7 @@ import numpy as np
 import oracle
 import pytest
 
+from godfit import upsample
 from godfit.models import Mitchell
 from godfit.taps import CONVENTIONS
 
@@ -134,6 +135,32 @@ def test_pixels_are_those_of_the_whole_image(size, mask, background):
         assert (4 * len(chosen) < mask.shape[0] * mask.shape[1]) == (count == 9)
         some = render(bright, mask, back, size=size, pixels=jnp.asarray(chosen))
         np.testing.assert_allclose(some, flat[chosen], rtol=1e-12)
+
+
+@pytest.mark.parametrize("mask", [MASK, COLOURS], ids=["grey", "colour"])
+@pytest.mark.parametrize("size", [(22, 26), (25, 31), (47, 64)])
+def test_texels_are_read_once(size, mask, monkeypatch):
+    """A block of neighbours, from the texels that it needs, is that of the whole image."""
+    monkeypatch.setattr(upsample, "POINT", 0)
+    monkeypatch.setattr(upsample, "LEAST", 5)
+    bright = model(point=BRIGHT)
+    image = render(bright, mask, size=size)
+    rows, columns = np.mgrid[size[0] - 6 : size[0], 0:9]
+    chosen = (rows * size[1] + columns).ravel()
+    texels = upsample.Texels.of(chosen, size, mask.shape[:2])
+    assert texels is not None
+    assert len(texels.at) < len(chosen)
+    read = render(bright, mask, size=size, pixels=jnp.asarray(chosen), texels=texels)
+    expected = np.asarray(image).reshape(-1, *image.shape[2:])[chosen]
+    # Shares are kept in single precision.
+    np.testing.assert_allclose(read, expected, rtol=1e-6)
+
+
+def test_whole_pass_is_rendered_where_that_costs_less():
+    pixels = np.arange(4000)
+    assert upsample.Texels.of(pixels, (200, 200), (50, 50)) is None
+    assert upsample.Texels.of(pixels, (100, 120), (99, 119)) is None
+    assert upsample.Texels.of(pixels, (1000, 1000), (500, 500)) is not None
 
 
 def test_both_methods_give_the_same_image():
