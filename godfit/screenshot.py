@@ -208,7 +208,8 @@ def blocks(picture: Picture, seed: int) -> np.ndarray:
     """Sorted indices of LAST valid pixels, in blocks drawn at random; all where there are fewer."""
     h, w = picture.size
     rows, columns = -(-h // ROWS), -(-w // COLUMNS)
-    rank = np.random.default_rng(seed).permutation(rows * columns).reshape(rows, columns)
+    order = np.random.default_rng(seed).permutation(rows * columns)
+    rank = np.argsort(order).reshape(rows, columns)
     rank = np.kron(rank, np.ones((ROWS, COLUMNS), int))[:h, :w].ravel()
     pixels = np.flatnonzero(picture.valid)
     # Always as many, the last block cut off: for every other number the program would be compiled
