@@ -25,7 +25,7 @@ from godfit.result import FitResult
 from godfit.search import SIGMAS, Settled, Tangent
 from godfit.solver import linearise
 
-DRAWS, WARM_UP = 2000, 300
+DRAWS, WARM_UP = 4000, 500
 MIDDLE = (0.025, 0.975)
 
 

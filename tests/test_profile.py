@@ -1,6 +1,7 @@
 """Intervals: profiled, at bounds, and against the posterior."""
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,9 @@ from godfit.__main__ import main
 from godfit.errors import InputError
 from godfit.image import write_image
 from godfit.profile import profile
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
+import intervals
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +39,20 @@ def test_interval_ends_at_the_bound_of_a_truth_that_lies_there(name):
     assert e.interval[1] == 1
     # One-sided, and not as wide as the error of a parameter that knows no bound.
     assert 0.3 * e.stderr < 1 - e.interval[0] < 2.5 * e.stderr
+
+
+@pytest.mark.parametrize("name", intervals.PROFILED)
+def test_truths_at_a_bound_and_inside_are_covered(name, single_precision):
+    """A small run of experiments/intervals.py."""
+    found = [
+        intervals.attempt(seed, name, noise=1.0, size=96, at=at)
+        for seed in range(1000, 1003)
+        for at in (1.0, None)
+    ]
+    assert sum(one.covers for one in found) >= 5
+    # What covers because it is wide is no interval.
+    widths = [(one.interval[1] - one.interval[0]) / one.result.params[name].stderr for one in found]
+    assert max(widths) < 6
 
 
 def test_without_noise_the_truth_is_inside_a_narrow_interval():
