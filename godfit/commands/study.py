@@ -83,11 +83,13 @@ def opened(
 
 @contextmanager
 def working(quiet: bool, verbose: bool) -> Iterator[Progress]:
-    """Say what is going on, and keep what is compiled."""
+    """Say what is going on, keep what is compiled and no memory that nobody uses."""
     with Progress(quiet, verbose) as progress:
         progress("loading JAX")
+        from godfit.allocator import keep_little
         from godfit.cache import keep_compiled
 
+        keep_little()
         keep_compiled()
         yield progress
 
