@@ -29,8 +29,8 @@ SHAPE = (
     Parameter("veil", "c", "1", 0.0, 1.0, "what the mask is cleared to; the light is 1"),
 )
 FIRST = len(SCATTERING) + 2 + len(SHAPE)
-# Coordinates of density, of what the disc adds and of what the veil adds.
-DENSITY, GAIN, VEIL = 2, 3, 8
+# Coordinates of density, of what the disc adds, of its radius and edge, of what the veil adds.
+DENSITY, GAIN, RADIUS, EDGE, VEIL = 2, 3, 6, 7, 8
 CHANNELS = "rgb"
 # Powers of x and y, each from -1 to 1 over the picture, in order of degree.
 POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
@@ -150,7 +150,7 @@ class DiscLight(AbstractModel):
         lower, upper = self.shading.bounds()
         count = self.background.size
         inf = float("inf")
-        return lower + [1e-3, 1e-4, 0.0] + [-inf] * count, upper + [2.0, 0.5, inf] + [inf] * count
+        return lower + [1e-3, 1e-6, 0.0] + [-inf] * count, upper + [2.0, 0.5, inf] + [inf] * count
 
     def linear(self) -> np.ndarray:
         index = np.arange(FIRST + self.background.size)

@@ -3,11 +3,17 @@
 Under a given light the picture is linear in what of the mask is open, so that where colour and
 edges do not tell (glare, panels, lines, objects of the background's own colour) the shadows do: how
 open each such pixel is, between 0 and 1, by least squares over the pixels that the light pass can
-be read from, with a weak pull to what was thought before. What throws no shadow that is seen stays
-as it was thought.
+be read from, at a price for each that is not as it was thought before (Tibshirani, J. R. Stat. Soc.
+B 58 (1996), 267). What throws no shadow that is seen stays as it was thought.
+
+The light may move at the same time: a disc that grows and a shadow that goes look much alike, and
+where each waits for the other they creep.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,12 +22,22 @@ from scipy import sparse
 from godfit.disc import DiscLight, terms
 from godfit.observation import LEVELS, Picture
 
-ROUNDS, STEPS = 3, 40
-# Levels at which a pixel that is off no longer counts in full, and at which the pull to the prior
-# is worth as much as one pixel of the picture; of a textured one, in units of its texture.
-HUBER, PULL = 1.0, 3.0
+ROUNDS, STEPS = 3, 60
+# Levels at which a pixel that is off no longer counts in full; of a textured picture, in units of
+# its texture. What it costs, in log-likelihood, that a texel is open that was thought to be solid:
+# by how much it is open, so that a few change for good rather than all of them a little, and, for
+# the sake of a unique answer, a little by its square.
+HUBER, FLIP, PULL = 1.0, 4.5, 0.5
 # Taps that are held at once, most: some hundred bytes each.
 HELD = 1 << 21
+
+
+class Shadows(NamedTuple):
+    """``mask`` (h, w), how open every texel is, and the ``step`` (q,) of what moved along, empty
+    where nothing was asked of the shadows."""
+
+    mask: np.ndarray
+    step: np.ndarray
 
 
 def refined(
@@ -32,39 +48,72 @@ def refined(
     rows: int,
     seed: int,
     texture: float = 0.0,
-) -> np.ndarray:
-    """(h, w) how open every texel is: ``picture.mask`` where it is known, between 0 and 1 where
+    slopes: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> Shadows:
+    """How open every texel is: ``picture.mask`` where it is known, between 0 and 1 where
     ``unknown``, by so many pixels (``rows``) of the picture. All are (h, w), the light pass's
-    size, which may be less than the picture's. ``texture`` is the background's, in levels."""
+    size, which may be less than the picture's. ``texture`` is the background's, in levels.
+
+    ``slopes`` of pixels, (q, n, c), are the derivatives of their levels by what may move at the
+    same time."""
     h, w = picture.mask.shape[:2]
     columns = np.flatnonzero(unknown)
     usable = np.flatnonzero(picture.valid & ~picture.clipped)
     if not len(columns) or len(usable) < 100:
-        return picture.mask
+        return Shadows(picture.mask, np.zeros(0))
     rng = np.random.default_rng(seed)
     pixels = np.sort(rng.permutation(usable)[: min(rows, _affordable(model, picture.size, (h, w)))])
     k, c = model.background.shape
     back = np.array(terms(jnp.asarray(pixels), picture.size, k) @ model.background)
     back *= model.convention.background_gain
-    light = picture.levels.reshape(-1, c)[pixels] / LEVELS - back
-    if model.convention.blend == "screen":
-        light /= np.maximum(1 - back, 0.05)
+    over = np.maximum(1 - back, 0.05) if model.convention.blend == "screen" else np.ones_like(back)
+    light = (picture.levels.reshape(-1, c)[pixels] / LEVELS - back) / over
     goal = light.mean(1).astype(np.float64)
     sums = _sums(model, pixels, picture.size, (h, w))
     known = np.where(unknown, 0.0, picture.mask).reshape(-1)
     goal = (goal - sums @ known) * LEVELS
     design = (sums.tocsc()[:, columns] * LEVELS).tocsr()
+    moves = np.zeros((len(pixels), 0))
+    if slopes is not None:
+        moves = (slopes(pixels).astype(np.float64) / over).mean(-1).T
     thought = prior.reshape(-1)[columns].astype(np.float64)
     share = thought.copy()
     weight = np.ones(len(goal))
     noise = max(1.0, texture)
     for _ in range(ROUNDS):
-        share = _bounded(design, goal, weight, thought, share, noise * PULL)
-        off = np.abs(goal - design @ share)
+        along = _Along(moves, weight, noise)
+        share = _bounded(design, goal, weight, along, thought, share, noise * PULL, noise**2 * FLIP)
+        step = along.step(goal - design @ share)
+        off = np.abs(goal - design @ share - moves @ step)
         weight = np.minimum(1.0, noise * HUBER / np.maximum(off, 1e-9))
     out = picture.mask.reshape(-1).copy()
     out[columns] = share
-    return out.reshape(h, w).astype(np.float32)
+    return Shadows(out.reshape(h, w).astype(np.float32), step)
+
+
+class _Along:
+    """What moves along, by least squares over pixels of a ``weight`` (n,): a step of one costs as
+    much as ``noise`` in one pixel."""
+
+    def __init__(self, moves: np.ndarray, weight: np.ndarray, noise: float):
+        self.moves, self.weight = moves, weight
+        weighted = moves * weight[:, None]
+        gram = moves.T @ weighted + noise**2 * np.eye(moves.shape[1])
+        self._solve = np.linalg.solve(gram, weighted.T)
+
+    def step(self, residual: np.ndarray) -> np.ndarray:
+        """(q,) the step that leaves least of a residual (n,)."""
+        return self._solve @ residual
+
+    def left(self, residual: np.ndarray) -> np.ndarray:
+        """(n,) the weighted residual that it leaves."""
+        return self.weight * (residual - self.moves @ self.step(residual))
+
+
+def surprise(mask: np.ndarray, thought: np.ndarray) -> float:
+    """What it costs, in log-likelihood, that ``mask`` (h, w) is not what was ``thought``."""
+    change = np.abs(mask - thought)
+    return float(FLIP * change.sum() + PULL**2 / 2 * (change**2).sum())
 
 
 def _affordable(model: DiscLight, size: tuple[int, int], low: tuple[int, int]) -> int:
@@ -76,17 +125,21 @@ def _affordable(model: DiscLight, size: tuple[int, int], low: tuple[int, int]) -
     return size[0] * size[1] if low[0] * low[1] <= most else most // 4
 
 
-def _bounded(design, goal, weight, thought, start, pull) -> np.ndarray:
-    """Least squares with a pull to ``thought`` inside [0, 1]: accelerated projected gradient (Beck
-    & Teboulle, SIAM J. Imaging Sci. 2 (2009), 183), scaled by the diagonal."""
+def _bounded(design, goal, weight, along, thought, start, pull, flip) -> np.ndarray:
+    """Least squares with a pull to ``thought`` inside [0, 1], what moves along eliminated (variable
+    projection: Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973), 413): accelerated projected
+    gradient (Beck & Teboulle, SIAM J. Imaging Sci. 2 (2009), 183), scaled by the diagonal."""
     weighted = design.T.multiply(weight).tocsr()
-    # Row sums of |A'WA| bound what a diagonal step may be.
+    # Row sums of |A'WA| bound what a diagonal step may be, and what moves along only flattens.
     size = weighted @ np.asarray(design.sum(1)).ravel() + pull**2
+    back = design.T.tocsr()
     share = ahead = start
     momentum = 1.0
     for _ in range(STEPS):
-        slope = weighted @ (design @ ahead - goal) + pull**2 * (ahead - thought)
-        moved = np.clip(ahead - slope / size, 0, 1)
+        slope = back @ along.left(design @ ahead - goal) + pull**2 * (ahead - thought)
+        change = ahead - slope / size - thought
+        change = np.sign(change) * np.maximum(np.abs(change) - flip / size, 0)
+        moved = np.clip(thought + change, 0, 1)
         grown = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
         ahead = moved + (momentum - 1) / grown * (moved - share)
         share, momentum = moved, grown

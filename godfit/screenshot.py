@@ -17,15 +17,15 @@ import numpy as np
 from scipy import ndimage
 
 from godfit import screen_disc
-from godfit.disc import FIRST, TERMS, DiscLight, terms
+from godfit.disc import EDGE, FIRST, TERMS, DiscLight, terms
 from godfit.explained import explained, grain
 from godfit.image import Image
 from godfit.models import Mitchell
-from godfit.observation import LEVELS, Observation, Picture, shrink
-from godfit.occluders import refined
+from godfit.observation import LEVELS, Observation, Picture
 from godfit.segment import Segments, grown, panels, segments
 from godfit.side_by_side import side_by_side
 from godfit.solver import Point, solve
+from godfit.turns import Read, Turns
 
 # Share of pixels that the model may be silent about without being told.
 FOREIGN = 0.02
@@ -50,13 +50,12 @@ COARSE, AGAIN = 8.0, 4
 SMOOTH = 1.5
 # Noise in levels allowed for in turns of light and shadows, on the small copy and on a finer one.
 SIGMAS, FINER = (2.0, 1.0, 1.0, 0.5), (0.5, 0.5)
-MAX_SOLVES = 8
 # Share of the picture that must be background for the rest to be objects.
 LEAST = 0.03
 # Starts whose lights lie within so much of the picture agree.
 AGREE = 0.01
-# Coordinate of the disc's edge, and how wide, in picture heights, a hard one is taken to be.
-EDGE, SHARP = 7, 0.002
+# How wide, in picture heights, a hard edge of the disc is taken to be while it is looked for.
+SHARP = 0.002
 
 
 class Reading(NamedTuple):
@@ -149,8 +148,6 @@ def look(
     those held, NaN where free."""
     picture = reading.picture
     small = picture.shrunk(-(-max(picture.size) // SIDE))
-    unknown = shrink(reading.unknown.astype(np.float32), small.size) > 0
-    texture = grain(small)
     model = _with_taps(template(shading, picture.channels, reading.degree), COARSE_TAPS)
     still = held(model).copy()
     free = np.isnan(still)
@@ -174,16 +171,23 @@ def look(
     first, *others = _apart(points)[:TRIED]
     begun_with = [(first, mask) for mask in masks] + [(p, small.mask) for p in others]
     say(f"{len(begun_with)} of {len(points)} starts and {len(masks)} masks, with their shadows")
+    turns = Turns(model, small, reading.unknown, grain(small), free, still, seed)
     seen = small.observe(small.informative(TRIAL, seed + 1))
-    args = (unknown, texture, free, still, model, seen, seed)
-    trials = side_by_side(lambda begin: _trial(*begin, small, *args), begun_with)
-    trials.sort(key=lambda t: t[0].cost)
-    trials = [t for t in trials[:FOLLOWED] if t[0].cost < WORSE * trials[0][0].cost]
+
+    def trial(begin: tuple[Point, np.ndarray]) -> Read:
+        # Where a start ends under what may be open, with its shadows.
+        read = Read.of(*begin, seen)
+        for sigma in BEFORE:
+            read = turns.descended(read, sigma)
+        return _with_shadows(turns, read, WITH)
+
+    trials = sorted(side_by_side(trial, begun_with), key=lambda t: t.point.cost)
+    trials = [t for t in trials[:FOLLOWED] if t.point.cost < WORSE * trials[0].point.cost]
     say(f"{len(trials)} of them further")
-    seen = small.observe(small.informative(MORE, seed + 1))
-    args = (unknown, texture, free, still, model, seen, seed)
-    ended = side_by_side(lambda t: _with_shadows(t[0], small, t[1], SIGMAS, *args), trials)
-    point, mask = min(ended, key=lambda e: e[0].cost)
+    more = small.observe(small.informative(MORE, seed + 1))
+    begun_again = [Read.of(t.point, t.thought, more) for t in trials]
+    ended = side_by_side(lambda read: _with_shadows(turns, read, SIGMAS), begun_again)
+    point, mask, *_ = min(ended, key=lambda e: e.point.cost)
     agreed = sum(_near(p, point) for p in points)
     coarse = _enlarged(mask, small.mask, picture.mask)
     if small.size != picture.size:
@@ -192,10 +196,9 @@ def look(
         few, model = model, template(shading, picture.channels, reading.degree)
         point = point._replace(coordinates=_at_taps(point.coordinates, still, few, model))
         prior = _enlarged(mask, small.mask, finer.mask)
-        unknown = shrink(reading.unknown.astype(np.float32), finer.size) > 0
+        turns = Turns(model, finer, reading.unknown, grain(finer), free, still, seed)
         seen = finer.observe(finer.informative(MORE, seed + 2))
-        args = (unknown, grain(finer), free, still, model, seen, seed)
-        point, mask = _with_shadows(point, finer, prior, FINER, *args)
+        point, mask, *_ = _with_shadows(turns, Read.of(point, prior, seen), FINER)
         small = finer
     share = explained(point.coordinates, still, model, dataclasses.replace(small, mask=mask))
     fine = dataclasses.replace(picture, mask=_enlarged(mask, small.mask, picture.mask))
@@ -265,68 +268,11 @@ def _rough(
     return sorted(points, key=lambda p: p.cost)
 
 
-def _trial(
-    point: Point,
-    prior: np.ndarray,
-    small: Picture,
-    unknown: np.ndarray,
-    texture: float,
-    free: np.ndarray,
-    held: np.ndarray,
-    model: DiscLight,
-    seen: Observation,
-    seed: int,
-) -> tuple[Point, np.ndarray]:
-    """Where a start ends under what may be open, ``prior`` (h, w), with its shadows; and that."""
-    at = seen.with_mask(prior)
-    for sigma in BEFORE:
-        point = _descend(point, free, held, model, at, max(sigma, texture))
-    args = (unknown, texture, free, held, model, seen, seed)
-    return _with_shadows(point, small, prior, WITH, *args)[0], prior
-
-
-def _with_shadows(
-    point: Point,
-    small: Picture,
-    prior: np.ndarray,
-    sigmas: tuple[float, ...],
-    unknown: np.ndarray,
-    texture: float,
-    free: np.ndarray,
-    held: np.ndarray,
-    model: DiscLight,
-    seen: Observation,
-    seed: int,
-) -> tuple[Point, np.ndarray]:
+def _with_shadows(turns: Turns, read: Read, sigmas: tuple[float, ...]) -> Read:
     """Light and occluders in turn, until they suit each other."""
-    small = dataclasses.replace(small, mask=prior)
-    rows = len(seen.pixels)
     for sigma in sigmas:
-        at = model.moved(point.coordinates, held)
-        mask = refined(at, small, unknown, prior, rows, seed, texture)
-        small = dataclasses.replace(small, mask=mask)
-        seen = seen.with_mask(mask)
-        point = _descend(point, free, held, model, seen, max(sigma, texture))
-    return solve(point.coordinates, free, held, model, seen, max(1.0, texture)), small.mask
-
-
-def _descend(
-    point: Point,
-    free: np.ndarray,
-    held: np.ndarray,
-    model: DiscLight,
-    seen: Observation,
-    sigma: float,
-) -> Point:
-    """Solve until it makes no more headway: radius, veil, attenuation and light trade in a long,
-    bent valley."""
-    point = solve(point.coordinates, free, held, model, seen, sigma)
-    for _ in range(MAX_SOLVES):
-        before = point
-        point = solve(before.coordinates, free, held, model, seen, sigma)
-        if not point.cost < 0.99 * before.cost:
-            break
-    return point
+        read = turns.turn(read, len(read.seen.pixels), sigma)
+    return turns.solved(read, 1.0)
 
 
 def _apart(points: list[Point]) -> list[Point]:

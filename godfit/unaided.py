@@ -7,23 +7,22 @@ settled on blocks of the whole picture under a likelihood with heavy tails.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from scipy import ndimage
 
 from godfit import inputs, screenshot, search
-from godfit.disc import DENSITY, DiscLight
+from godfit.disc import DENSITY, EDGE, GAIN, RADIUS, DiscLight
 from godfit.errors import InputError
 from godfit.explained import grain, predicted
 from godfit.image import Image
 from godfit.inference import Evidence, evidence
 from godfit.models import Mitchell
-from godfit.observation import Observation, Picture, shrink
-from godfit.occluders import refined
+from godfit.observation import Observation, Picture
 from godfit.side_by_side import side_by_side
-from godfit.solver import Point, solve, solve_tangent
+from godfit.solver import Point, solve_tangent
+from godfit.turns import Read, Turns
 from godfit.valley import DOUBT
 from godfit.verdict import Found
 
@@ -36,9 +35,14 @@ FAINT = 0.1
 ROUNDS = 25
 # Noise in levels that the copy's answer may be off by, less and less.
 NEAR = (4.0, 2.0, 1.0)
-# Turns of shadows and light, before and after the size of the light pass is decided; pixels that
-# shadows are found by, and the share of the cost that is worth another turn.
-SOME, TURNS, SHADOWED, WORTH = 2, 6, 1 << 14, 0.02
+# Turns of shadows and light, before and after the size of the light pass is decided, and pixels
+# that shadows are found by.
+SOME, TURNS, SHADOWED = 2, 6, 1 << 14
+# Dips of density, either way, and shares of the radius that are tried, and how much less may be
+# explained by what is as likely.
+DIPS, RADII, ALIKE = (-1, 0, 1), (0.75, 1.25), 1.02
+# Widths of the disc's edge, in texels of the light pass, that are tried one after the other.
+EDGES = (0.3, 0.2, 0.1, 0.05)
 # The size of a light pass that is tried beside the picture's own.
 HALF = 0.5
 # Pixels without which nothing can be told.
@@ -99,43 +103,40 @@ def found_in(
     open_ = np.asarray(picture.mask)
     picture = dataclasses.replace(picture, mask=inputs.shrink_mask(open_, pass_scale or 1.0))
     free = np.isnan(held) & model.used
-    if free[screenshot.EDGE]:
-        held[screenshot.EDGE], free[screenshot.EDGE] = screenshot.SHARP, False
+    edges = EDGES if free[EDGE] else ()
+    if edges:
+        held[EDGE], free[EDGE] = screenshot.SHARP, False
     hidden = _hidden(model, looked.coordinates, held, picture)
     if free[0] and free[3] and (hidden or not model.convention.own_pixel):
         # Only the disc itself would tell a pixel's own value, if it is shown, from its rays.
         held[0] = given.get("exposure", model.shading.defaults.get("exposure", FAINT))
         free[0] = False
         opened.append((0, [3]))
-    seen = picture.observe(screenshot.blocks(picture, seed))
     texture = grain(picture)
+    turns = Turns(model, picture, reading.unknown, texture, free, held, seed)
+    seen = picture.observe(screenshot.blocks(picture, seed))
     say(f"{len(seen.pixels):,} pixels")
     rays = looked.explained > RAYS
     rounds = ROUNDS if rays else 1
-    begin = _Read(Point(looked.coordinates, np.inf, False, 0), picture.mask, seen)
-    # At some noise first: where a copy's answer is a little off, rays must not pass for foreign.
-    noises = [max(sigma, texture) for sigma in (NEAR if rays else NEAR[-1:])]
-    masks = [picture.mask]
-    if rays and pass_scale is None:
-        # On a copy of that size shadows were those of such a pass.
-        masks += [inputs.shrink_mask(mask, HALF) for mask in (open_, looked.coarse)]
-    first, *halved = side_by_side(
-        lambda mask: _solved(begin.with_mask(mask), noises, free, held, model), masks
-    )
-    point = first.point
-    if halved:
-        say("a light pass of half the size")
-        likelier = _likelier(
-            first,
-            halved,
-            lambda read, turns: _in_turns(
-                read, turns, model, picture, reading.unknown, texture, free, held, seed
-            ),
-        )
-        if likelier is not None:
-            first, (point, mask, seen) = likelier
-            picture, pass_scale = dataclasses.replace(picture, mask=mask), HALF
+    begin = Read.of(Point(looked.coordinates, np.inf, False, 0), picture.mask, seen)
+    if rays:
+        masks = []
+        if pass_scale is None:
+            # On a copy of that size shadows were those of such a pass.
+            masks = [inputs.shrink_mask(mask, HALF) for mask in (open_, looked.coarse)]
+        say("shadows")
+        first, read = _of_its_size(turns, begin, [begin.with_thought(mask) for mask in masks])
+        if read.mask.shape != picture.mask.shape:
+            pass_scale = HALF
             notes += (COARSE,)
+        say("once more, from beside it")
+        thought = inputs.shrink_mask(np.asarray(reading.picture.mask), pass_scale or 1.0)
+        turns, read, doubts = _best(turns, first, read._replace(thought=thought), edges)
+    else:
+        first = read = turns.solved(begin, NEAR[-1])
+        doubts = []
+    (point, mask, _, seen), held = read, turns.held
+    picture = dataclasses.replace(picture, mask=mask)
     settled, tangent = search.settle(point.coordinates, model, seen, free, held, rounds=rounds)
     at = _with_ranges(evidence(settled, tangent, seen), model.ranges(settled.coordinates))
     found = Found(model, picture, seen, settled, at, free, held, opened, False)
@@ -155,8 +156,7 @@ def found_in(
         _shift(settled, tangent, model, seen, free, held, rival.clip(0, 1).astype(np.float32))
         for rival in rivals
     ]
-    # A mask that may explain more takes the light with it.
-    shifts.append(np.where(free, point.coordinates - first.point.coordinates, 0.0))
+    shifts += [np.where(free, shift, 0.0) for shift in doubts]
     if free[DENSITY]:
         shifts.append(_next_dip(settled, at.covariance(free), model.samples))
     found = dataclasses.replace(
@@ -165,68 +165,83 @@ def found_in(
     return found, notes
 
 
-class _Read(NamedTuple):
-    """Where a solve ended, with the mask (h, w), of the light pass's size, that it was of."""
+def _of_its_size(turns: Turns, own: Read, smaller: list[Read]) -> tuple[Read, Read]:
+    """Solved under a light pass of its ``own`` size or, where that is likelier, under one of the
+    ``smaller``; before and after each has the shadows that suit it."""
 
-    point: Point
-    mask: np.ndarray
-    seen: Observation
+    def near(read: Read) -> Read:
+        # At some noise first: where a copy's answer is a little off, rays must not pass for
+        # foreign.
+        for sigma in NEAR:
+            read = turns.solved(read, sigma)
+        return read
 
-    def with_mask(self, mask: np.ndarray) -> _Read:
-        return _Read(self.point, mask, self.seen.with_mask(mask))
-
-
-def _solved(
-    read: _Read, noises: Sequence[float], free: np.ndarray, held: np.ndarray, model: DiscLight
-) -> _Read:
-    """Solved with one noise (levels) after the other allowed for."""
-    point = read.point
-    for sigma in noises:
-        point = solve(point.coordinates, free, held, model, read.seen, sigma)
-    return read._replace(point=point)
+    own, *smaller = side_by_side(near, [own, *smaller])
+    sizes = [own, *sorted(smaller, key=_cost)[:1]]
+    turned = side_by_side(lambda read: turns.turned(read, SHADOWED, SOME), sizes)
+    likelier = turned[-1].point.cost < turned[0].point.cost - DOUBT
+    return (sizes[-1], turned[-1]) if likelier else (sizes[0], turned[0])
 
 
-def _likelier(
-    first: _Read, others: Sequence[_Read], in_turns: Callable[[_Read, int], _Read]
-) -> tuple[_Read, _Read] | None:
-    """Whichever of ``others``, masks of another size, explains more than ``first`` once each has
-    the shadows that suit it, before and after those were found; None where none does. Those of a
-    pass as large as the picture are known, and not looked for further."""
-    own = in_turns(first, SOME)
-    nearest = min(others, key=lambda read: read.point.cost)
-    other = in_turns(nearest, SOME)
-    if not other.point.cost < own.point.cost - DOUBT:
-        return None
-    return nearest, in_turns(other, TURNS)
+def _cost(read: Read) -> float:
+    return read.point.cost
 
 
-def _in_turns(
-    read: _Read,
-    turns: int,
-    model: DiscLight,
-    picture: Picture,
-    unknown: np.ndarray,
-    texture: float,
-    free: np.ndarray,
-    held: np.ndarray,
-    seed: int,
-) -> _Read:
-    """Shadows and light in turn for as long as it helps. What is ``unknown`` (h, w) becomes what
-    explains the rays best: the stairs of a disc that was drawn without anti-aliasing, too."""
-    thought = read.mask
-    unknown = shrink(unknown.astype(np.float32), thought.shape[:2]) > 0
-    for _ in range(turns):
-        at = model.moved(read.point.coordinates, held)
-        known = dataclasses.replace(picture, mask=read.mask)
-        mask = refined(at, known, unknown, thought, SHADOWED, seed, texture)
-        noises = (max(NEAR[-1], texture),)
-        there = _solved(read.with_mask(mask), noises, free, held, model)
-        gained = 1 - there.point.cost / read.point.cost
-        if gained > 0:
-            read = there
-        if not gained > WORTH:
-            break
-    return read
+def _best(
+    turns: Turns, first: Read, read: Read, edges: tuple[float, ...]
+) -> tuple[Turns, Read, list[np.ndarray]]:
+    """The best of what is found from an answer and from beside it, with the disc's edge that suits
+    it, and changes (p,) that it may be off by: a mask that explains more takes the light with it
+    from where it was at ``first``, and what differs in density may explain as much."""
+    again = sorted([read, *_again(turns, read)], key=turns.total)
+    best = turns.turned(again[0], SHADOWED, TURNS)
+    limit, z = ALIKE * turns.total(best), best.point.coordinates
+    alike = [r.point.coordinates - z for r in again if turns.total(r) < limit]
+    doubts = [z - first.point.coordinates, *sorted(alike, key=lambda d: abs(d[DENSITY]))[-1:]]
+    sharp = side_by_side(lambda read: _sharpened(turns, read, edges), [best, again[1]])
+    turns, read = min(sharp, key=lambda pair: pair[0].total(pair[1]))
+    return turns, read, doubts
+
+
+def _sharpened(turns: Turns, read: Read, edges: tuple[float, ...]) -> tuple[Turns, Read]:
+    """With the harder edge of the disc, of ``edges`` in texels, that explains most: one that is
+    drawn, with anti-aliasing or without, is narrower than a texel, and the rays show it."""
+    best = turns, read
+    for texels in edges:
+        held = turns.held.copy()
+        held[EDGE] = texels / read.mask.shape[0]
+        turns = dataclasses.replace(turns, held=held)
+        z = read.point.coordinates.copy()
+        z[EDGE] = held[EDGE]
+        read = turns.turn(turns.solved(read.at(z), turns.noise), SHADOWED, turns.noise)
+        if turns.total(read) < best[0].total(best[1]):
+            best = turns, read
+    return best
+
+
+def _again(turns: Turns, read: Read) -> list[Read]:
+    """What is found from the answer, from the dips of density beside it and from other radii, each
+    with shadows of its own: a mask that has settled holds the light where it is, and shadows can
+    make up for a wrong density or radius."""
+    starts = [(DENSITY, 1 + dips / turns.model.samples) for dips in DIPS]
+    starts += [(RADIUS, times) for times in RADII]
+
+    def found(start: tuple[int, float]) -> Read:
+        index, times = start
+        z, still = read.point.coordinates.copy(), turns.free.copy()
+        z[index] *= times
+        if index == RADIUS:
+            # What a smaller disc lacks its brightness makes up for.
+            z[GAIN] /= times
+        z = np.clip(z, *(np.asarray(b, z.dtype) for b in turns.model.bounds()))
+        still[index] = False
+        held = dataclasses.replace(turns, free=still)
+        # Wide first, as what is far off would pass for foreign.
+        there = held.solved(read.with_thought(read.thought).at(z), 2 * held.noise)
+        there = held.turn(held.solved(there, held.noise), SHADOWED, held.noise)
+        return turns.turn(there, SHADOWED, turns.noise)
+
+    return side_by_side(found, [s for s in starts if turns.free[s[0]]])
 
 
 def _rivals(mask: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, ...]:

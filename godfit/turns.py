@@ -1,0 +1,133 @@
+"""Light and shadows of a picture that comes with nothing, until they suit each other."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from godfit.disc import DiscLight
+from godfit.explained import predicted
+from godfit.likelihood import log_likelihood
+from godfit.observation import Observation, Picture, shrink
+from godfit.occluders import Shadows, refined, surprise
+from godfit.solver import Point, linearise, solve
+
+# Solves of one noise, most, and the share of the cost that is worth another turn.
+MAX_SOLVES, WORTH = 8, 0.02
+
+
+class Read(NamedTuple):
+    """Where a solve ended; the ``mask`` (h, w), of the light pass's size, that it was of; what
+    was ``thought`` (h, w) to be open before any shadow was asked; the pixels that are ``seen``."""
+
+    point: Point
+    mask: np.ndarray
+    thought: np.ndarray
+    seen: Observation
+
+    @staticmethod
+    def of(point: Point, thought: np.ndarray, seen: Observation) -> Read:
+        return Read(point, thought, thought, seen.with_mask(thought))
+
+    def with_thought(self, thought: np.ndarray) -> Read:
+        """No shadow asked yet."""
+        return Read.of(self.point, thought, self.seen)
+
+    def with_mask(self, mask: np.ndarray) -> Read:
+        return self._replace(mask=mask, seen=self.seen.with_mask(mask))
+
+    def at(self, coordinates: np.ndarray) -> Read:
+        return self._replace(point=self.point._replace(coordinates=coordinates, cost=np.inf))
+
+
+@dataclass(frozen=True, eq=False)
+class Turns:
+    """``picture`` under ``model``, whose coordinates are ``held`` (p,) where not ``free`` (p,);
+    ``unknown`` (h, w) is what shadows decide, ``texture`` the background's, in levels."""
+
+    model: DiscLight
+    picture: Picture
+    unknown: np.ndarray
+    texture: float
+    free: np.ndarray
+    held: np.ndarray
+    seed: int
+
+    @property
+    def noise(self) -> float:
+        """Least noise allowed for, in levels: nothing explains texture, and what is off by as much
+        is not foreign."""
+        return max(1.0, self.texture)
+
+    def solved(self, read: Read, sigma: float) -> Read:
+        """One solve with so much noise allowed for."""
+        sigma = max(sigma, self.texture)
+        start = read.point.coordinates
+        return read._replace(point=solve(start, self.free, self.held, self.model, read.seen, sigma))
+
+    def descended(self, read: Read, sigma: float) -> Read:
+        """Solved until it makes no more headway: radius, veil, attenuation and light trade in a
+        long, bent valley."""
+        read = self.solved(read, sigma)
+        for _ in range(MAX_SOLVES):
+            before, read = read, self.solved(read, sigma)
+            if not read.point.cost < 0.99 * before.point.cost:
+                break
+        return read
+
+    def shaded(self, read: Read, rows: int) -> Read:
+        """With the shadows that suit the light best, by ``rows`` pixels, and the light moved along
+        on its tangent."""
+        z = read.point.coordinates
+        here = dataclasses.replace(self.picture, mask=read.mask)
+        unknown = shrink(self.unknown.astype(np.float32), read.mask.shape[:2]) > 0
+        scale = self.model.scales(z)
+
+        def slopes(pixels: np.ndarray) -> np.ndarray:
+            _, jacobian = linearise(z, self.held, scale, self.model, here.observe(pixels))
+            return np.asarray(jacobian).reshape(len(z), len(pixels), -1)[self.free]
+
+        def under(slopes=None) -> Shadows:
+            return refined(
+                self.model.moved(z, self.held), here, unknown, read.thought, rows, self.seed,
+                self.texture, slopes,
+            )  # fmt: skip
+
+        mask, step = under(slopes)
+        if not len(step):
+            return read.with_mask(mask)
+        moved = z.copy()
+        moved[self.free] += (step * scale[self.free]).astype(np.float32)
+        moved = np.clip(moved, *(np.asarray(b, np.float32) for b in self.model.bounds()))
+        there = read.with_mask(mask).at(moved)
+        # Where the tangent does not reach, the light stays for the time being.
+        return there if self.cost(there) < 1.01 * self.cost(read) else read.with_mask(under().mask)
+
+    def cost(self, read: Read) -> float:
+        """Minus the log-likelihood with the least noise allowed for."""
+        seen = read.seen
+        levels = predicted(read.point.coordinates, self.held, self.model, seen)
+        sigma = np.float32(self.noise)
+        return -float(log_likelihood(levels, seen.lo, seen.hi, sigma, seen.foreign).sum())
+
+    def total(self, read: Read) -> float:
+        """What a solve left and what the shadows cost."""
+        return read.point.cost + surprise(read.mask, read.thought)
+
+    def turn(self, read: Read, rows: int, sigma: float) -> Read:
+        """The shadows under the light that was found, and the light under these."""
+        return self.descended(self.shaded(read, rows), sigma)
+
+    def turned(self, read: Read, rows: int, most: int) -> Read:
+        """Turn by turn, for as long as it helps."""
+        for _ in range(most):
+            there = self.turn(read, rows, self.noise)
+            gained = 1 - self.total(there) / self.total(read)
+            if gained > 0:
+                read = there
+            if not gained > WORTH:
+                break
+        return read

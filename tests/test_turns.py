@@ -1,0 +1,99 @@
+"""Light and shadows together: against a general minimiser, and back from beside the truth."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.optimize import minimize
+
+from godfit.disc import DiscLight
+from godfit.models import Mitchell
+from godfit.observation import Picture
+from godfit.occluders import _Along, _bounded, refined
+from godfit.solver import Point
+from godfit.turns import Read, Turns
+
+SIZE = (90, 160)
+
+
+@pytest.mark.parametrize("moving", [0, 3])
+@pytest.mark.parametrize("flip", [0.0, 2.0])
+def test_shadows_and_what_moves_along_are_the_best_together(moving, flip):
+    """Against a general minimiser of the same function, texels split into what they open and what
+    they close, so that it is smooth."""
+    rng = np.random.default_rng(moving)
+    design = sparse.random_array((300, 40), density=0.2, rng=rng, format="csr")
+    moves, weight = rng.normal(size=(300, moving)), rng.uniform(0.2, 1, 300)
+    goal = design @ rng.uniform(-0.5, 1.5, 40) + moves @ rng.normal(size=moving)
+    thought, pull, noise = rng.uniform(size=40), 0.7, 0.5
+
+    def function(z):
+        opened, closed, step = z[:40], z[40:80], z[80:]
+        change = opened - closed
+        off = design @ (thought + change) + moves @ step - goal
+        value = (weight * off**2).sum() + pull**2 * (change**2).sum() + noise**2 * (step**2).sum()
+        slope = design.T @ (weight * off) + pull**2 * change
+        by_step = moves.T @ (weight * off) + noise**2 * step
+        return value / 2 + flip * (opened + closed).sum(), np.r_[
+            slope + flip, flip - slope, by_step
+        ]
+
+    bounds = [(0, 1 - t) for t in thought] + [(0, t) for t in thought] + [(None, None)] * moving
+    options = {"maxiter": 10_000, "maxfun": 100_000, "ftol": 1e-15, "gtol": 1e-9, "maxcor": 50}
+    best = minimize(
+        function, np.zeros(80 + moving), jac=True, method="L-BFGS-B", bounds=bounds, options=options
+    ).x
+    along = _Along(moves, weight, noise)
+    share = thought
+    for _ in range(5):
+        share = _bounded(design, goal, weight, along, thought, share, pull, flip)
+    np.testing.assert_allclose(share, thought + best[:40] - best[40:80], atol=1e-5)
+    np.testing.assert_allclose(along.step(goal - design @ share), best[80:], atol=1e-5)
+    # Some are at either bound and, where changes cost by their size, some as they were thought.
+    assert (share == 0).any()
+    assert (share == 1).any()
+    assert (share == thought).any() == (flip > 0)
+
+
+@pytest.mark.usefixtures("single_precision")
+def test_light_moves_along_with_the_shadows():
+    """From beside the truth, with a bar in the glare of which only the shadows tell: each in turn,
+    light and shadows wait for each other."""
+    shading = Mitchell(0.06, 0.98, 0.8, 0.7, [0.45, 0.6], "dawntime", 40)
+    model = DiscLight(shading, [0.15, 0.01, 0.06], np.array([[0.1, 0.2, 0.3]]))
+    open_ = np.ones(SIZE, np.float32)
+    open_[34:40, 60:90] = 0
+    levels = 255 * np.asarray(model(jnp.asarray(open_)))
+    levels = np.round(levels).clip(0, 255).astype(np.float32)
+    thought = np.ones_like(open_)
+    picture = Picture(levels, 0.5, np.ones(SIZE, bool), thought, None, "none", 0.02)
+    unknown = picture.clipped.copy()
+    unknown[30:44, 56:94] = True
+    truth = np.asarray(model.coordinates(), np.float32)
+    held = np.full(len(truth), np.nan, np.float32)
+    # The pixel's own value does not show, and edges are as sharp as they are.
+    held[[0, 7]] = truth[0], truth[7]
+    turns = Turns(model, picture, unknown, 0.0, np.isnan(held), held, 0)
+    start = truth.copy()
+    start[4:7] += 0.006, -0.006, 0.01
+    seen = picture.observe(picture.informative(4000, 0))
+    together = apart = Read.of(Point(start, np.inf, False, 0), thought, seen)
+    for _ in range(4):
+        together = turns.turn(together, 4000, turns.noise)
+        at = model.moved(apart.point.coordinates, held)
+        here = dataclasses.replace(picture, mask=apart.mask)
+        mask = refined(at, here, unknown, thought, 4000, 0).mask
+        apart = turns.descended(apart.with_mask(mask), turns.noise)
+
+    def off(read):
+        return np.abs(read.point.coordinates - truth)[4:7].max()
+
+    assert off(together) < 0.3 * off(apart)
+    assert off(together) < 0.002
+    assert together.mask[34:40, 66:80].mean() < 0.3
+    # What may not move stays where it is.
+    still = dataclasses.replace(turns, free=np.zeros(len(truth), bool))
+    shaded = still.shaded(together, 4000)
+    assert np.array_equal(shaded.point.coordinates, together.point.coordinates)
