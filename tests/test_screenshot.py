@@ -173,6 +173,8 @@ def fewer_starts(looks):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(screenshot, "STARTS", 3)
+        patch.setattr(unaided, "DIPS", (0,))
+        patch.setattr(unaided, "RADII", ())
         patch.setattr(screenshot, "look", kept)
         yield
 
