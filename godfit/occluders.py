@@ -24,9 +24,9 @@ from godfit.observation import LEVELS, Picture
 
 ROUNDS, STEPS = 3, 60
 # Levels at which a pixel that is off no longer counts in full; of a textured picture, in units of
-# its texture. What it costs, in log-likelihood, that a texel is open that was thought to be solid:
-# by how much it is open, so that a few change for good rather than all of them a little, and, for
-# the sake of a unique answer, a little by its square.
+# its texture. What it costs, in log-likelihood, that a texel is solid that was thought to be open,
+# or open: by how much, so that a few change for good rather than all of them a little, and, for the
+# sake of a unique answer, a little by its square.
 HUBER, FLIP, PULL = 1.0, 4.5, 0.5
 # Taps that are held at once, most: some hundred bytes each.
 HELD = 1 << 21
@@ -54,8 +54,8 @@ def refined(
     ``unknown``, by so many pixels (``rows``) of the picture. All are (h, w), the light pass's
     size, which may be less than the picture's. ``texture`` is the background's, in levels.
 
-    ``slopes`` of pixels, (q, n, c), are the derivatives of their levels by what may move at the
-    same time."""
+    ``slopes`` of row-major pixels (n,), (q, n, c), are the derivatives of their levels by what may
+    move at the same time."""
     h, w = picture.mask.shape[:2]
     columns = np.flatnonzero(unknown)
     usable = np.flatnonzero(picture.valid & ~picture.clipped)
@@ -110,8 +110,8 @@ class _Along:
         return self.weight * (residual - self.moves @ self.step(residual))
 
 
-def surprise(mask: np.ndarray, thought: np.ndarray) -> float:
-    """What it costs, in log-likelihood, that ``mask`` (h, w) is not what was ``thought``."""
+def price(mask: np.ndarray, thought: np.ndarray) -> float:
+    """What it costs, in log-likelihood, that ``mask`` (h, w) is not what was ``thought`` (h, w)."""
     change = np.abs(mask - thought)
     return float(FLIP * change.sum() + PULL**2 / 2 * (change**2).sum())
 
@@ -126,17 +126,17 @@ def _affordable(model: DiscLight, size: tuple[int, int], low: tuple[int, int]) -
 
 
 def _bounded(design, goal, weight, along, thought, start, pull, flip) -> np.ndarray:
-    """Least squares with a pull to ``thought`` inside [0, 1], what moves along eliminated (variable
-    projection: Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973), 413): accelerated projected
-    gradient (Beck & Teboulle, SIAM J. Imaging Sci. 2 (2009), 183), scaled by the diagonal."""
-    weighted = design.T.multiply(weight).tocsr()
+    """Least squares inside [0, 1] at a price for what is not as it was ``thought``, what moves
+    along eliminated (variable projection: Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973), 413):
+    accelerated proximal gradient (Beck & Teboulle, SIAM J. Imaging Sci. 2 (2009), 183), scaled by
+    the diagonal."""
+    adjoint = design.T.tocsr()
     # Row sums of |A'WA| bound what a diagonal step may be, and what moves along only flattens.
-    size = weighted @ np.asarray(design.sum(1)).ravel() + pull**2
-    back = design.T.tocsr()
+    size = adjoint @ (weight * np.asarray(design.sum(1)).ravel()) + pull**2
     share = ahead = start
     momentum = 1.0
     for _ in range(STEPS):
-        slope = back @ along.left(design @ ahead - goal) + pull**2 * (ahead - thought)
+        slope = adjoint @ along.left(design @ ahead - goal) + pull**2 * (ahead - thought)
         change = ahead - slope / size - thought
         change = np.sign(change) * np.maximum(np.abs(change) - flip / size, 0)
         moved = np.clip(thought + change, 0, 1)

@@ -12,11 +12,13 @@ from godfit.disc import DiscLight
 from godfit.explained import predicted
 from godfit.likelihood import log_likelihood
 from godfit.observation import Observation, Picture, shrink
-from godfit.occluders import Shadows, refined, surprise
+from godfit.occluders import Shadows, price, refined
 from godfit.solver import Point, linearise, solve
 
 # Solves of one noise, most, and the share of the cost that is worth another turn.
 MAX_SOLVES, WORTH = 8, 0.02
+# Surprisal may rise by so much on the tangent, which a solve follows.
+REACH = 1.01
 
 
 class Read(NamedTuple):
@@ -30,6 +32,7 @@ class Read(NamedTuple):
 
     @staticmethod
     def of(point: Point, thought: np.ndarray, seen: Observation) -> Read:
+        """Under a mask as it is ``thought`` (h, w)."""
         return Read(point, thought, thought, seen.with_mask(thought))
 
     def with_thought(self, thought: np.ndarray) -> Read:
@@ -37,16 +40,19 @@ class Read(NamedTuple):
         return Read.of(self.point, thought, self.seen)
 
     def with_mask(self, mask: np.ndarray) -> Read:
+        """With the shadows (h, w) that were found; the price is still that of what was thought."""
         return self._replace(mask=mask, seen=self.seen.with_mask(mask))
 
     def at(self, coordinates: np.ndarray) -> Read:
+        """Elsewhere (p,), not solved yet."""
         return self._replace(point=self.point._replace(coordinates=coordinates, cost=np.inf))
 
 
 @dataclass(frozen=True, eq=False)
 class Turns:
     """``picture`` under ``model``, whose coordinates are ``held`` (p,) where not ``free`` (p,);
-    ``unknown`` (h, w) is what shadows decide, ``texture`` the background's, in levels."""
+    ``unknown`` (h, w), of any size, is what shadows decide, ``texture`` the background's, in
+    levels; ``seed`` is of the pixels that they are read from. Noises ``sigma`` are in levels."""
 
     model: DiscLight
     picture: Picture
@@ -104,9 +110,11 @@ class Turns:
         moved = np.clip(moved, *(np.asarray(b, np.float32) for b in self.model.bounds()))
         there = read.with_mask(mask).at(moved)
         # Where the tangent does not reach, the light stays for the time being.
-        return there if self.cost(there) < 1.01 * self.cost(read) else read.with_mask(under().mask)
+        if self.surprisal(there) < REACH * self.surprisal(read):
+            return there
+        return read.with_mask(under().mask)
 
-    def cost(self, read: Read) -> float:
+    def surprisal(self, read: Read) -> float:
         """Minus the log-likelihood with the least noise allowed for."""
         seen = read.seen
         levels = predicted(read.point.coordinates, self.held, self.model, seen)
@@ -115,7 +123,7 @@ class Turns:
 
     def total(self, read: Read) -> float:
         """What a solve left and what the shadows cost."""
-        return read.point.cost + surprise(read.mask, read.thought)
+        return read.point.cost + price(read.mask, read.thought)
 
     def turn(self, read: Read, rows: int, sigma: float) -> Read:
         """The shadows under the light that was found, and the light under these."""

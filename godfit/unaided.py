@@ -38,8 +38,8 @@ NEAR = (4.0, 2.0, 1.0)
 # Turns of shadows and light, before and after the size of the light pass is decided, and pixels
 # that shadows are found by.
 SOME, TURNS, SHADOWED = 2, 6, 1 << 14
-# Dips of density, either way, and shares of the radius that are tried, and how much less may be
-# explained by what is as likely.
+# Dips of density, either way, and shares of the radius that are tried, and how much more may be
+# left by what is as likely.
 DIPS, RADII, ALIKE = (-1, 0, 1), (0.75, 1.25), 1.02
 # Widths of the disc's edge, in texels of the light pass, that are tried one after the other.
 EDGES = (0.3, 0.2, 0.1, 0.05)
@@ -129,7 +129,7 @@ def found_in(
         if read.mask.shape != picture.mask.shape:
             pass_scale = HALF
             notes += (COARSE,)
-        say("once more, from beside it")
+        say("densities and radii beside it")
         thought = inputs.shrink_mask(np.asarray(reading.picture.mask), pass_scale or 1.0)
         turns, read, doubts = _best(turns, first, read._replace(thought=thought), edges)
     else:
@@ -198,7 +198,7 @@ def _best(
     limit, z = ALIKE * turns.total(best), best.point.coordinates
     alike = [r.point.coordinates - z for r in again if turns.total(r) < limit]
     doubts = [z - first.point.coordinates, *sorted(alike, key=lambda d: abs(d[DENSITY]))[-1:]]
-    sharp = side_by_side(lambda read: _sharpened(turns, read, edges), [best, again[1]])
+    sharp = side_by_side(lambda read: _sharpened(turns, read, edges), [best, *again[1:2]])
     turns, read = min(sharp, key=lambda pair: pair[0].total(pair[1]))
     return turns, read, doubts
 
@@ -230,7 +230,7 @@ def _again(turns: Turns, read: Read) -> list[Read]:
         index, times = start
         z, still = read.point.coordinates.copy(), turns.free.copy()
         z[index] *= times
-        if index == RADIUS:
+        if index == RADIUS and turns.free[GAIN]:
             # What a smaller disc lacks its brightness makes up for.
             z[GAIN] /= times
         z = np.clip(z, *(np.asarray(b, z.dtype) for b in turns.model.bounds()))

@@ -8,7 +8,8 @@ import pytest
 from scipy import sparse
 from scipy.optimize import minimize
 
-from godfit.disc import DiscLight
+from godfit import unaided
+from godfit.disc import DENSITY, EDGE, RADIUS, DiscLight
 from godfit.models import Mitchell
 from godfit.observation import Picture
 from godfit.occluders import _Along, _bounded, refined
@@ -57,14 +58,13 @@ def test_shadows_and_what_moves_along_are_the_best_together(moving, flip):
     assert (share == thought).any() == (flip > 0)
 
 
-@pytest.mark.usefixtures("single_precision")
-def test_light_moves_along_with_the_shadows():
-    """From beside the truth, with a bar in the glare of which only the shadows tell: each in turn,
-    light and shadows wait for each other."""
+def lit(edge, bar):
+    """(picture of an open mask, coordinates of the truth, turns with edge and exposure held)."""
     shading = Mitchell(0.06, 0.98, 0.8, 0.7, [0.45, 0.6], "dawntime", 40)
-    model = DiscLight(shading, [0.15, 0.01, 0.06], np.array([[0.1, 0.2, 0.3]]))
+    model = DiscLight(shading, [0.15, edge, 0.06], np.array([[0.1, 0.2, 0.3]]))
     open_ = np.ones(SIZE, np.float32)
-    open_[34:40, 60:90] = 0
+    if bar:
+        open_[34:40, 60:90] = 0
     levels = 255 * np.asarray(model(jnp.asarray(open_)))
     levels = np.round(levels).clip(0, 255).astype(np.float32)
     thought = np.ones_like(open_)
@@ -74,17 +74,26 @@ def test_light_moves_along_with_the_shadows():
     truth = np.asarray(model.coordinates(), np.float32)
     held = np.full(len(truth), np.nan, np.float32)
     # The pixel's own value does not show, and edges are as sharp as they are.
-    held[[0, 7]] = truth[0], truth[7]
+    held[[0, EDGE]] = truth[0], truth[EDGE]
     turns = Turns(model, picture, unknown, 0.0, np.isnan(held), held, 0)
+    return picture, truth, turns
+
+
+@pytest.mark.usefixtures("single_precision")
+def test_light_moves_along_with_the_shadows():
+    """From beside the truth, with a bar in the glare of which only the shadows tell: each in turn,
+    light and shadows wait for each other."""
+    picture, truth, turns = lit(0.01, bar=True)
+    model, unknown, held = turns.model, turns.unknown, turns.held
     start = truth.copy()
     start[4:7] += 0.006, -0.006, 0.01
     seen = picture.observe(picture.informative(4000, 0))
-    together = apart = Read.of(Point(start, np.inf, False, 0), thought, seen)
+    together = apart = Read.of(Point(start, np.inf, False, 0), picture.mask, seen)
     for _ in range(4):
         together = turns.turn(together, 4000, turns.noise)
         at = model.moved(apart.point.coordinates, held)
         here = dataclasses.replace(picture, mask=apart.mask)
-        mask = refined(at, here, unknown, thought, 4000, 0).mask
+        mask = refined(at, here, unknown, picture.mask, 4000, 0).mask
         apart = turns.descended(apart.with_mask(mask), turns.noise)
 
     def off(read):
@@ -97,3 +106,24 @@ def test_light_moves_along_with_the_shadows():
     still = dataclasses.replace(turns, free=np.zeros(len(truth), bool))
     shaded = still.shaded(together, 4000)
     assert np.array_equal(shaded.point.coordinates, together.point.coordinates)
+
+
+@pytest.mark.usefixtures("single_precision")
+@pytest.mark.parametrize("known", [[], [DENSITY, RADIUS]], ids=["all free", "two known"])
+def test_a_disc_is_as_sharp_as_it_was_drawn(known, monkeypatch):
+    """A hard disc, begun with a soft edge; what is known of density and radius stays."""
+    monkeypatch.setattr(unaided, "DIPS", (0,))
+    monkeypatch.setattr(unaided, "RADII", ())
+    picture, truth, turns = lit(0.05 / SIZE[0], bar=False)
+    held, free = turns.held.copy(), turns.free.copy()
+    held[EDGE] = 1 / SIZE[0]
+    held[known], free[known] = truth[known], False
+    turns = dataclasses.replace(turns, held=held, free=free)
+    seen = picture.observe(picture.informative(4000, 0))
+    begun = turns.descended(Read.of(Point(truth, np.inf, False, 0), picture.mask, seen), 1.0)
+    sharp, read, _ = unaided._best(turns, begun, begun, unaided.EDGES)
+    assert sharp.held[EDGE] <= 0.2 / SIZE[0]
+    assert sharp.total(read) < turns.total(begun)
+    np.testing.assert_array_equal(read.point.coordinates[known], truth[known])
+    # Radius and gain trade in an open field; the light does not.
+    assert np.abs(read.point.coordinates - truth)[4:6].max() < 0.001
