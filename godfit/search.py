@@ -18,6 +18,7 @@ import numpy as np
 from godfit.likelihood import log_likelihood
 from godfit.models import AbstractModel
 from godfit.observation import Observation, Picture
+from godfit.side_by_side import side_by_side
 from godfit.solver import Point, linearise, solve, solve_tangent
 
 PIXELS = 2048
@@ -158,7 +159,7 @@ def blurred_views(
     """A few pixels of the picture for every blur of the ladder, and the same ones sharp."""
     pixels = picture.informative(BLURRED_PIXELS, seed)
     blurs = [share * max(picture.size) for share, _, _ in ladder]
-    return [picture.observe(pixels, blur) for blur in [*blurs, 0.0]]
+    return side_by_side(lambda blur: picture.observe(pixels, blur), [*blurs, 0.0])
 
 
 def _distinct(points: list[Point]) -> list[Point]:
