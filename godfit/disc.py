@@ -29,9 +29,11 @@ SHAPE = (
     Parameter("veil", "c", "1", 0.0, 1.0, "what the mask is cleared to; the light is 1"),
 )
 FIRST = len(SCATTERING) + 2 + len(SHAPE)
-# Coordinates of density, of what the disc adds, of its radius and edge, of what the veil adds.
-DENSITY, GAIN, RADIUS, EDGE, VEIL = 2, 3, 6, 7, 8
+# Coordinates: density, what the disc adds, light, radius, edge, what the veil adds.
+DENSITY, GAIN, LIGHT_X, LIGHT_Y, RADIUS, EDGE, VEIL = 2, 3, 4, 5, 6, 7, 8
 CHANNELS = "rgb"
+# Texels that a disc's edge is wide, least, in derivatives: a harder one steps from texel to texel.
+SOFT = 0.3
 # Powers of x and y, each from -1 to 1 over the picture, in order of degree.
 POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
 TERMS = {0: 1, 1: 3, 2: 6, 3: 10}
@@ -167,14 +169,15 @@ class DiscLight(AbstractModel):
         rest[:3] = 0.2, 0.01, max(coordinates[VEIL], 0.05)
         return np.concatenate([self.shading.ranges(coordinates[:6]), rest])
 
-    def occlusion(self, open_: Float[Array, "h w"]) -> Float[Array, "h w"]:
-        """The mask that the light pass reads."""
+    def occlusion(self, open_: Float[Array, "h w"], least: float = 0.0) -> Float[Array, "h w"]:
+        """The mask that the light pass reads, with the disc's edge at ``least`` so wide, in
+        texels."""
         h, w = open_.shape
         x = (jnp.arange(w, dtype=open_.dtype) + 0.5) / w - self.light[0, 0]
         y = 1 - (jnp.arange(h, dtype=open_.dtype) + 0.5) / h - self.light[0, 1]
         radius, edge, veil = self.shape
         away = jnp.sqrt((x * w / h)[None] ** 2 + y[:, None] ** 2 + 1e-12)
-        disc = jax.nn.sigmoid((radius - away) / edge)
+        disc = jax.nn.sigmoid((radius - away) / jnp.maximum(edge, least / h))
         return open_ * (veil + (1 - veil) * disc)
 
     def __call__(
@@ -217,13 +220,14 @@ class DiscLight(AbstractModel):
             here = self._with(numbers)
 
             def mask(rest):
-                return self._with(jnp.concatenate([numbers[:4], rest])).occlusion(open_)
+                return self._with(jnp.concatenate([numbers[:4], rest])).occlusion(open_, SOFT)
 
             def under_it(first):
                 shading = self._with(jnp.concatenate([first, numbers[6:]])).shading
                 return shading.light_pass(still, at, method)
 
-            still, changes = _jacobian(mask, numbers[4:])
+            still = here.occlusion(open_)
+            _, changes = _jacobian(mask, numbers[4:])
             out, by_first = _jacobian(under_it, numbers[:6])
             by_rest = here.shading.light_pass(jnp.moveaxis(changes, 0, -1), at, method)
             d_out = jnp.tensordot(along[:6], by_first, 1)

@@ -12,6 +12,7 @@ where each waits for the other they creep.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -71,21 +72,22 @@ def refined(
     goal = light.mean(1).astype(np.float64)
     sums = _sums(model, pixels, picture.size, (h, w))
     known = np.where(unknown, 0.0, picture.mask).reshape(-1)
-    goal = (goal - sums @ known) * LEVELS
-    design = (sums.tocsc()[:, columns] * LEVELS).tocsr()
-    moves = np.zeros((len(pixels), 0))
+    goal = (goal - sums @ known).astype(np.float32) * np.float32(LEVELS)
+    # In single precision all of it stays in the cache.
+    design = (sums.tocsc()[:, columns].astype(np.float32) * np.float32(LEVELS)).tocsr()
+    moves = np.zeros((len(pixels), 0), np.float32)
     if slopes is not None:
-        moves = (slopes(pixels).astype(np.float64) / over).mean(-1).T
-    thought = prior.reshape(-1)[columns].astype(np.float64)
+        moves = (slopes(pixels).astype(np.float64) / over).mean(-1).T.astype(np.float32)
+    thought = prior.reshape(-1)[columns].astype(np.float32)
     share = thought.copy()
-    weight = np.ones(len(goal))
+    weight = np.ones_like(goal)
     noise = max(1.0, texture)
     for _ in range(ROUNDS):
         along = _Along(moves, weight, noise)
         share = _bounded(design, goal, weight, along, thought, share, noise * PULL, noise**2 * FLIP)
         step = along.step(goal - design @ share)
         off = np.abs(goal - design @ share - moves @ step)
-        weight = np.minimum(1.0, noise * HUBER / np.maximum(off, 1e-9))
+        weight = np.minimum(1, noise * HUBER / np.maximum(off, 1e-9)).astype(np.float32)
     out = picture.mask.reshape(-1).copy()
     out[columns] = share
     return Shadows(out.reshape(h, w).astype(np.float32), step)
@@ -97,9 +99,9 @@ class _Along:
 
     def __init__(self, moves: np.ndarray, weight: np.ndarray, noise: float):
         self.moves, self.weight = moves, weight
-        weighted = moves * weight[:, None]
+        weighted = moves.astype(np.float64) * weight[:, None]
         gram = moves.T @ weighted + noise**2 * np.eye(moves.shape[1])
-        self._solve = np.linalg.solve(gram, weighted.T)
+        self._solve = np.linalg.solve(gram, weighted.T).astype(moves.dtype)
 
     def step(self, residual: np.ndarray) -> np.ndarray:
         """(q,) the step that leaves least of a residual (n,)."""
@@ -140,7 +142,7 @@ def _bounded(design, goal, weight, along, thought, start, pull, flip) -> np.ndar
         change = ahead - slope / size - thought
         change = np.sign(change) * np.maximum(np.abs(change) - flip / size, 0)
         moved = np.clip(thought + change, 0, 1)
-        grown = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
+        grown = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
         ahead = moved + (momentum - 1) / grown * (moved - share)
         share, momentum = moved, grown
     return share

@@ -68,15 +68,21 @@ class Reading(NamedTuple):
     degree: int
 
 
-class Look(NamedTuple):
-    """Where the search ended: coordinates, the picture with its mask refined, the mask as the
-    small copy had it, starts that agreed of those tried, and how much of what varies the light
-    explains (1 all)."""
+class End(NamedTuple):
+    """Where the search ended: coordinates (p,); the mask (h, w), refined, and as the small copy had
+    it."""
 
     coordinates: np.ndarray
-    model: DiscLight
-    picture: Picture
+    mask: np.ndarray
     coarse: np.ndarray
+
+
+class Look(NamedTuple):
+    """What the search found, best first; starts that agreed of those tried, and how much of what
+    varies the light explains (1 all)."""
+
+    ends: tuple[End, ...]
+    model: DiscLight
     starts_agreed: tuple[int, int]
     explained: float
 
@@ -187,24 +193,38 @@ def look(
     more = small.observe(small.informative(MORE, seed + 1))
     begun_again = [Read.of(t.point, t.thought, more) for t in trials]
     ended = side_by_side(lambda read: _with_shadows(turns, read, SIGMAS), begun_again)
-    point, mask, *_ = min(ended, key=lambda e: e.point.cost)
-    agreed = sum(_near(p, point) for p in points)
-    coarse = _enlarged(mask, small.mask, picture.mask)
+    ended.sort(key=lambda read: read.point.cost)
+    agreed = sum(_near(p, ended[0].point) for p in points)
+    coarse = [_enlarged(read.mask, small.mask, picture.mask) for read in ended]
     if small.size != picture.size:
         say("a finer copy")
         finer = picture.shrunk(-(-max(picture.size) // (2 * SIDE)))
         few, model = model, template(shading, picture.channels, reading.degree)
-        point = point._replace(coordinates=_at_taps(point.coordinates, still, few, model))
-        prior = _enlarged(mask, small.mask, finer.mask)
         turns = Turns(model, finer, reading.unknown, grain(finer), free, still, seed)
         seen = finer.observe(finer.informative(MORE, seed + 2))
-        point, mask, *_ = _with_shadows(turns, Read.of(point, prior, seen), FINER)
-        small = finer
-    share = explained(point.coordinates, still, model, dataclasses.replace(small, mask=mask))
-    fine = dataclasses.replace(picture, mask=_enlarged(mask, small.mask, picture.mask))
+
+        def finely(read: Read) -> Read:
+            z = _at_taps(read.point.coordinates, still, few, model)
+            mask = _enlarged(read.mask, small.mask, finer.mask)
+            begin = Read.of(read.point._replace(coordinates=z), mask, seen)
+            return _with_shadows(turns, begin, FINER)
+
+        copy, ended = finer, side_by_side(finely, ended)
+    else:
+        copy = small
+    first = min(ended, key=lambda read: read.point.cost)
+    here = dataclasses.replace(copy, mask=first.mask)
+    share = explained(first.point.coordinates, still, model, here)
+    ends = [
+        End(
+            np.asarray(model.moved(read.point.coordinates, still).coordinates(), np.float32),
+            _enlarged(read.mask, copy.mask, picture.mask),
+            mask,
+        )
+        for read, mask in sorted(zip(ended, coarse, strict=True), key=lambda e: e[0].point.cost)
+    ]
     full = template(shading, picture.channels, reading.degree)
-    z = np.asarray(model.moved(point.coordinates, still).coordinates(), np.float32)
-    return Look(z, full, fine, coarse, (agreed, len(points)), share)
+    return Look(tuple(ends), full, (agreed, len(points)), share)
 
 
 def blocks(picture: Picture, seed: int) -> np.ndarray:

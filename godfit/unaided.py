@@ -7,13 +7,14 @@ settled on blocks of the whole picture under a likelihood with heavy tails.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping
 
 import numpy as np
 from scipy import ndimage
 
 from godfit import inputs, screenshot, search
-from godfit.disc import DENSITY, EDGE, GAIN, RADIUS, DiscLight
+from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
 from godfit.errors import InputError
 from godfit.explained import grain, predicted
 from godfit.image import Image
@@ -38,11 +39,15 @@ NEAR = (4.0, 2.0, 1.0)
 # Turns of shadows and light, before and after the size of the light pass is decided, and pixels
 # that shadows are found by.
 SOME, TURNS, SHADOWED = 2, 6, 1 << 14
-# Dips of density, either way, and shares of the radius that are tried, and how much more may be
-# left by what is as likely.
-DIPS, RADII, ALIKE = (-1, 0, 1), (0.75, 1.25), 1.02
-# Widths of the disc's edge, in texels of the light pass, that are tried one after the other.
-EDGES = (0.3, 0.2, 0.1, 0.05)
+# How far beside an answer it is looked for: shares of the radius, of the picture, dips of density;
+# each the first time, and half as far every other time.
+BESIDE, LOOKS = {RADIUS: 0.2, LIGHT_X: 0.004, LIGHT_Y: 0.004, DENSITY: 1.0}, 3
+# What leaves so much more before the rest has moved is given up, and how much more may be left by
+# what is as likely.
+WORSE, ALIKE = 1.25, 1.02
+# Widths of the disc's edge in texels: as it is drawn without anti-aliasing, and where a soft one's
+# is looked for from. A texel on the rim that is off by a little its shadow tells.
+HARD, WIDE = 0.1, 1.0
 # The size of a light pass that is tried beside the picture's own.
 HALF = 0.5
 # Pixels without which nothing can be told.
@@ -98,15 +103,15 @@ def found_in(
     model = screenshot.template(shading, reading.picture.channels, reading.degree)
     given, held = inputs.parameters(model, fix, start)
     looked = screenshot.look(reading, shading, given, held_by, seed, say)
-    model, picture = looked.model, looked.picture
+    model, picture = looked.model, reading.picture
+    best, *others = looked.ends
     opened: list[tuple[int, list[int]]] = []
-    open_ = np.asarray(picture.mask)
-    picture = dataclasses.replace(picture, mask=inputs.shrink_mask(open_, pass_scale or 1.0))
+    picture = dataclasses.replace(picture, mask=inputs.shrink_mask(best.mask, pass_scale or 1.0))
     free = np.isnan(held) & model.used
-    edges = EDGES if free[EDGE] else ()
-    if edges:
-        held[EDGE], free[EDGE] = screenshot.SHARP, False
-    hidden = _hidden(model, looked.coordinates, held, picture)
+    soft = bool(free[EDGE])
+    if soft:
+        held[EDGE], free[EDGE] = HARD / picture.mask.shape[0], False
+    hidden = _hidden(model, best.coordinates, held, picture)
     if free[0] and free[3] and (hidden or not model.convention.own_pixel):
         # Only the disc itself would tell a pixel's own value, if it is shown, from its rays.
         held[0] = given.get("exposure", model.shading.defaults.get("exposure", FAINT))
@@ -118,24 +123,33 @@ def found_in(
     say(f"{len(seen.pixels):,} pixels")
     rays = looked.explained > RAYS
     rounds = ROUNDS if rays else 1
-    begin = Read.of(Point(looked.coordinates, np.inf, False, 0), picture.mask, seen)
+
+    def begun(end: screenshot.End, mask: np.ndarray, scale: float | None) -> Read:
+        at = Point(end.coordinates, np.inf, False, 0)
+        return Read.of(at, inputs.shrink_mask(mask, scale or 1.0), seen)
+
+    begin = begun(best, best.mask, pass_scale)
     if rays:
-        masks = []
+        smaller = []
         if pass_scale is None:
             # On a copy of that size shadows were those of such a pass.
-            masks = [inputs.shrink_mask(mask, HALF) for mask in (open_, looked.coarse)]
+            smaller = [begun(best, mask, HALF) for mask in (best.mask, best.coarse)]
         say("shadows")
-        first, read = _of_its_size(turns, begin, [begin.with_thought(mask) for mask in masks])
+        first, read = _of_its_size(turns, begin, smaller)
         if read.mask.shape != picture.mask.shape:
             pass_scale = HALF
             notes += (COARSE,)
+            others = [end._replace(mask=end.coarse) for end in others]
         say("densities and radii beside it")
         thought = inputs.shrink_mask(np.asarray(reading.picture.mask), pass_scale or 1.0)
-        turns, read, doubts = _best(turns, first, read._replace(thought=thought), edges)
+        read = read._replace(thought=thought)
+        read, doubts = _best(turns, first, read, [begun(e, e.mask, pass_scale) for e in others])
+        if soft:
+            turns, read = _softened(turns, read)
     else:
         first = read = turns.solved(begin, NEAR[-1])
         doubts = []
-    (point, mask, _, seen), held = read, turns.held
+    (point, mask, _, seen), free, held = read, turns.free, turns.held
     picture = dataclasses.replace(picture, mask=mask)
     settled, tangent = search.settle(point.coordinates, model, seen, free, held, rounds=rounds)
     at = _with_ranges(evidence(settled, tangent, seen), model.ranges(settled.coordinates))
@@ -150,7 +164,7 @@ def found_in(
     # As far from what was found as the rivals are from what was first thought.
     rivals = (
         picture.mask + inputs.shrink_mask(mask, pass_scale or 1.0) - first.mask
-        for mask in _rivals(open_, np.asarray(reading.picture.mask))
+        for mask in _rivals(best.mask, np.asarray(reading.picture.mask))
     )
     shifts = [
         _shift(settled, tangent, model, seen, free, held, rival.clip(0, 1).astype(np.float32))
@@ -169,18 +183,19 @@ def _of_its_size(turns: Turns, own: Read, smaller: list[Read]) -> tuple[Read, Re
     """Solved under a light pass of its ``own`` size or, where that is likelier, under one of the
     ``smaller``; before and after each has the shadows that suit it."""
 
-    def near(read: Read) -> Read:
-        # At some noise first: where a copy's answer is a little off, rays must not pass for
-        # foreign.
-        for sigma in NEAR:
-            read = turns.solved(read, sigma)
-        return read
-
-    own, *smaller = side_by_side(near, [own, *smaller])
+    own, *smaller = side_by_side(lambda read: _near(turns, read), [own, *smaller])
     sizes = [own, *sorted(smaller, key=_cost)[:1]]
     turned = side_by_side(lambda read: turns.turned(read, SHADOWED, SOME), sizes)
     likelier = turned[-1].point.cost < turned[0].point.cost - DOUBT
     return (sizes[-1], turned[-1]) if likelier else (sizes[0], turned[0])
+
+
+def _near(turns: Turns, read: Read) -> Read:
+    """Solved at some noise first: where a copy's answer is a little off, rays must not pass for
+    foreign."""
+    for sigma in NEAR:
+        read = turns.solved(read, sigma)
+    return read
 
 
 def _cost(read: Read) -> float:
@@ -188,60 +203,69 @@ def _cost(read: Read) -> float:
 
 
 def _best(
-    turns: Turns, first: Read, read: Read, edges: tuple[float, ...]
-) -> tuple[Turns, Read, list[np.ndarray]]:
-    """The best of what is found from an answer and from beside it, with the disc's edge that suits
-    it, and changes (p,) that it may be off by: a mask that explains more takes the light with it
-    from where it was at ``first``, and what differs in density may explain as much."""
-    again = sorted([read, *_again(turns, read)], key=turns.total)
-    best = turns.turned(again[0], SHADOWED, TURNS)
+    turns: Turns, first: Read, read: Read, others: list[Read]
+) -> tuple[Read, list[np.ndarray]]:
+    """The best of what is found from an answer, from ``others`` and from beside them, and changes
+    (p,) that it may be off by: a mask that explains more takes the light with it from where it was
+    at ``first``, and what differs in density may explain as much."""
+
+    def afar(other: Read) -> Read:
+        other = _near(turns, other)._replace(thought=read.thought)
+        return turns.turned(other, SHADOWED, SOME)
+
+    def afresh(read: Read) -> Read:
+        # A mask that has settled holds the light where it is.
+        return turns.turn(read.with_thought(read.thought), SHADOWED, turns.noise)
+
+    work = [functools.partial(afresh, read), *(functools.partial(afar, o) for o in others)]
+    found = [read, *side_by_side(lambda find: find(), work)]
+    best = min(found, key=turns.total)
+    for look in range(LOOKS):
+        for index, by in BESIDE.items():
+            if turns.free[index]:
+                by = by if index == DENSITY else by / 2**look
+                found += side_by_side(functools.partial(_beside, turns, best, index), (-by, by))
+                best = min(found, key=turns.total)
+    best = turns.turned(best, SHADOWED, TURNS)
     limit, z = ALIKE * turns.total(best), best.point.coordinates
-    alike = [r.point.coordinates - z for r in again if turns.total(r) < limit]
+    alike = [r.point.coordinates - z for r in found if turns.total(r) < limit]
     doubts = [z - first.point.coordinates, *sorted(alike, key=lambda d: abs(d[DENSITY]))[-1:]]
-    sharp = side_by_side(lambda read: _sharpened(turns, read, edges), [best, *again[1:2]])
-    turns, read = min(sharp, key=lambda pair: pair[0].total(pair[1]))
-    return turns, read, doubts
+    return best, doubts
 
 
-def _sharpened(turns: Turns, read: Read, edges: tuple[float, ...]) -> tuple[Turns, Read]:
-    """With the harder edge of the disc, of ``edges`` in texels, that explains most: one that is
-    drawn, with anti-aliasing or without, is narrower than a texel, and the rays show it."""
-    best = turns, read
-    for texels in edges:
-        held = turns.held.copy()
-        held[EDGE] = texels / read.mask.shape[0]
-        turns = dataclasses.replace(turns, held=held)
-        z = read.point.coordinates.copy()
-        z[EDGE] = held[EDGE]
-        read = turns.turn(turns.solved(read.at(z), turns.noise), SHADOWED, turns.noise)
-        if turns.total(read) < best[0].total(best[1]):
-            best = turns, read
-    return best
+def _beside(turns: Turns, read: Read, index: int, by: float) -> Read:
+    """What is found where one coordinate is moved, its shadows and the rest first, and then itself:
+    single taps and texels make the way there too rough to be gone down."""
+    z = read.point.coordinates.copy()
+    if index == RADIUS:
+        # Of a larger disc that is seen from as far, and as brightly.
+        z[RADIUS] *= 1 + by
+        if turns.free[DENSITY]:
+            z[DENSITY] = 1 - (1 + by) * (1 - z[DENSITY])
+        if turns.free[GAIN]:
+            z[GAIN] /= 1 + by
+    elif index == DENSITY:
+        z[DENSITY] *= 1 + by / turns.model.samples
+    else:
+        z[index] += by
+    z = np.clip(z, *(np.asarray(b, np.float32) for b in turns.model.bounds()))
+    free = turns.free.copy()
+    free[index] = False
+    there = dataclasses.replace(turns, free=free).turn(read.at(z), SHADOWED, turns.noise)
+    if turns.total(there) > WORSE * turns.total(read):
+        return there
+    return turns.turn(there, SHADOWED, turns.noise)
 
 
-def _again(turns: Turns, read: Read) -> list[Read]:
-    """What is found from the answer, from the dips of density beside it and from other radii, each
-    with shadows of its own: a mask that has settled holds the light where it is, and shadows can
-    make up for a wrong density or radius."""
-    starts = [(DENSITY, 1 + dips / turns.model.samples) for dips in DIPS]
-    starts += [(RADIUS, times) for times in RADII]
-
-    def found(start: tuple[int, float]) -> Read:
-        index, times = start
-        z, still = read.point.coordinates.copy(), turns.free.copy()
-        z[index] *= times
-        if index == RADIUS and turns.free[GAIN]:
-            # What a smaller disc lacks its brightness makes up for.
-            z[GAIN] /= times
-        z = np.clip(z, *(np.asarray(b, z.dtype) for b in turns.model.bounds()))
-        still[index] = False
-        held = dataclasses.replace(turns, free=still)
-        # Wide first, as what is far off would pass for foreign.
-        there = held.solved(read.with_thought(read.thought).at(z), 2 * held.noise)
-        there = held.turn(held.solved(there, held.noise), SHADOWED, held.noise)
-        return turns.turn(there, SHADOWED, turns.noise)
-
-    return side_by_side(found, [s for s in starts if turns.free[s[0]]])
+def _softened(turns: Turns, read: Read) -> tuple[Turns, Read]:
+    """With a soft edge of the disc where that explains more."""
+    free, held, z = turns.free.copy(), turns.held.copy(), read.point.coordinates.copy()
+    free[EDGE], held[EDGE], z[EDGE] = True, np.nan, WIDE / read.mask.shape[0]
+    softer = dataclasses.replace(turns, free=free, held=held)
+    there = softer.turn(softer.solved(read.at(z), turns.noise), SHADOWED, turns.noise)
+    if softer.total(there) < turns.total(read) - DOUBT:
+        return softer, softer.turned(there, SHADOWED, SOME)
+    return turns, read
 
 
 def _rivals(mask: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -89,6 +89,27 @@ def test_derivatives_agree_with_differences():
         np.testing.assert_allclose(found[:, i], central, atol=2e-4 * size + 1e-9)
 
 
+def test_a_hard_edge_has_the_derivatives_of_a_softer_one():
+    """A disc steps from texel to texel; its derivatives are those of what it does on average."""
+    shading = disc_model().shading
+    open_ = jnp.ones(SIZE)
+    pixels = jnp.asarray(np.random.default_rng(0).permutation(90 * 160)[:2000])
+
+    @jax.jit
+    def light(radius, edge):
+        model = DiscLight(shading, [radius, edge, 0.06], np.zeros((1, 3)))
+        return model.light_pass(open_, size=SIZE, pixels=pixels, method="reference")
+
+    _, slope = jax.jvp(lambda radius: light(radius, 1e-6), (0.15,), (1.0,))
+    away = np.arange(-8, 9) / 8 / SIZE[0]
+    steps = np.array([light(0.15 + d, 1e-6) for d in away])
+    average = np.polyfit(away, steps, 1)[0]
+    assert np.unique(np.round(steps, 9), axis=0).shape[0] > 8
+    size = np.abs(average).max()
+    assert np.abs(np.asarray(slope) - average).mean() < 0.05 * size
+    np.testing.assert_allclose(slope.mean(), average.mean(), rtol=0.1)
+
+
 def test_the_picture_is_linear_in_what_disc_and_veil_add():
     model, open_ = disc_model(), jnp.ones(SIZE).at[30:60, 60:75].set(0.0)
     z = np.array(model.coordinates())
@@ -173,8 +194,7 @@ def fewer_starts(looks):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(screenshot, "STARTS", 3)
-        patch.setattr(unaided, "DIPS", (0,))
-        patch.setattr(unaided, "RADII", ())
+        patch.setattr(unaided, "BESIDE", {})
         patch.setattr(screenshot, "look", kept)
         yield
 
@@ -295,7 +315,7 @@ def test_the_size_of_the_light_pass_is_found(scale, monkeypatch):
     picture = dataclasses.replace(reading.picture, mask=thought, valid=~silent)
     reading = reading._replace(picture=picture, unknown=unknown, degree=0)
     z = np.asarray(model.coordinates(), np.float32)
-    found = screenshot.Look(z, model, picture, thought, (3, 3), 0.9)
+    found = screenshot.Look((screenshot.End(z, thought, thought),), model, (3, 3), 0.9)
     monkeypatch.setattr(screenshot, "read", lambda *_: reading)
     monkeypatch.setattr(screenshot, "look", lambda *_: found)
     held = {"edge": 0.01, "exposure": 0.05}

@@ -9,7 +9,7 @@ from scipy import sparse
 from scipy.optimize import minimize
 
 from godfit import unaided
-from godfit.disc import DENSITY, EDGE, RADIUS, DiscLight
+from godfit.disc import DENSITY, EDGE, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
 from godfit.models import Mitchell
 from godfit.observation import Picture
 from godfit.occluders import _Along, _bounded, refined
@@ -108,22 +108,49 @@ def test_light_moves_along_with_the_shadows():
     assert np.array_equal(shaded.point.coordinates, together.point.coordinates)
 
 
+def begun(turns, picture, z):
+    """``turns`` with the edge of a disc that is drawn without anti-aliasing, and where they are
+    after a first descent from ``z``."""
+    held = turns.held.copy()
+    held[EDGE] = unaided.HARD / SIZE[0]
+    turns = dataclasses.replace(turns, held=held)
+    seen = picture.observe(picture.informative(4000, 0))
+    read = Read.of(Point(z, np.inf, False, 0), picture.mask, seen)
+    return turns, turns.descended(read, turns.noise)
+
+
+@pytest.mark.usefixtures("single_precision")
+@pytest.mark.parametrize("edge", [0.03, 1e-5], ids=["soft", "hard"])
+def test_a_soft_edge_is_read_where_there_is_one(edge):
+    picture, truth, turns = lit(edge, bar=False)
+    turns, read = begun(turns, picture, truth)
+    softer, there = unaided._softened(turns, read)
+    found = float(softer.model.moved(there.point.coordinates, softer.held).shape[1])
+    if edge > 1e-3:
+        assert found == pytest.approx(edge, rel=0.1)
+        assert softer.total(there) < 0.5 * turns.total(read)
+    else:
+        assert found < 0.3 / SIZE[0]
+        assert softer.total(there) <= turns.total(read)
+
+
 @pytest.mark.usefixtures("single_precision")
 @pytest.mark.parametrize("known", [[], [DENSITY, RADIUS]], ids=["all free", "two known"])
-def test_a_disc_is_as_sharp_as_it_was_drawn(known, monkeypatch):
-    """A hard disc, begun with a soft edge; what is known of density and radius stays."""
-    monkeypatch.setattr(unaided, "DIPS", (0,))
-    monkeypatch.setattr(unaided, "RADII", ())
-    picture, truth, turns = lit(0.05 / SIZE[0], bar=False)
-    held, free = turns.held.copy(), turns.free.copy()
-    held[EDGE] = 1 / SIZE[0]
+def test_what_lies_beside_an_answer_is_found(known, monkeypatch):
+    """From a light that is two texels off, with shadows that suit it; what is known stays."""
+    monkeypatch.setattr(unaided, "SHADOWED", 4000)
+    monkeypatch.setattr(unaided, "BESIDE", {LIGHT_X: 0.01, DENSITY: 1.0, RADIUS: 0.2})
+    monkeypatch.setattr(unaided, "LOOKS", 1)
+    picture, truth, turns = lit(1e-5, bar=True)
+    held, free, z = turns.held.copy(), turns.free.copy(), truth.copy()
     held[known], free[known] = truth[known], False
     turns = dataclasses.replace(turns, held=held, free=free)
-    seen = picture.observe(picture.informative(4000, 0))
-    begun = turns.descended(Read.of(Point(truth, np.inf, False, 0), picture.mask, seen), 1.0)
-    sharp, read, _ = unaided._best(turns, begun, begun, unaided.EDGES)
-    assert sharp.held[EDGE] <= 0.2 / SIZE[0]
-    assert sharp.total(read) < turns.total(begun)
-    np.testing.assert_array_equal(read.point.coordinates[known], truth[known])
-    # Radius and gain trade in an open field; the light does not.
-    assert np.abs(read.point.coordinates - truth)[4:6].max() < 0.001
+    z[LIGHT_X] += 2 / SIZE[1]
+    still = dataclasses.replace(turns, free=turns.free & (np.arange(len(z)) != LIGHT_X))
+    _, stuck = begun(still, picture, z)
+    turns = dataclasses.replace(turns, held=still.held)
+    read, _ = unaided._best(turns, stuck, stuck, [])
+    off = np.abs(read.point.coordinates - truth)
+    assert turns.total(read) < 0.8 * turns.total(stuck)
+    assert off[[LIGHT_X, LIGHT_Y]].max() < 0.5 / SIZE[1]
+    assert (off[known] == 0).all()
