@@ -227,9 +227,9 @@ class DiscLight(AbstractModel):
                 return shading.light_pass(still, at, method)
 
             still = here.occlusion(open_)
-            _, changes = _jacobian(mask, numbers[4:])
+            changes = jax.jacfwd(mask)(numbers[4:])
             out, by_first = _jacobian(under_it, numbers[:6])
-            by_rest = here.shading.light_pass(jnp.moveaxis(changes, 0, -1), at, method)
+            by_rest = here.shading.light_pass(changes, at, method)
             d_out = jnp.tensordot(along[:6], by_first, 1)
             return out, d_out + by_rest @ along[4:]
 

@@ -21,7 +21,7 @@ from godfit.upsample import Texels
 LEVELS = 255.0
 # Larger pictures are searched at this size: coordinates do not depend on it.
 SEARCH_SIZE = 1024
-# Pixels that informative ones are chosen among.
+# Pixels that those are chosen among about which the target varies.
 CANDIDATES = 1 << 16
 
 
@@ -240,8 +240,8 @@ class Picture:
         varied, odd = np.flatnonzero(chance), count - len(even)
         if len(varied) < odd:
             return np.sort(rng.choice(candidates, count, replace=False))
-        if len(varied) > CANDIDATES:
-            varied = rng.choice(varied, CANDIDATES, replace=False)
+        if len(varied) > max(CANDIDATES, odd):
+            varied = rng.choice(varied, max(CANDIDATES, odd), replace=False)
         chance = chance[varied].astype(np.float64)
         drawn = rng.choice(varied, odd, replace=False, p=chance / chance.sum())
         return np.sort(np.concatenate([even, drawn]))

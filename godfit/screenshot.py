@@ -78,12 +78,12 @@ class End(NamedTuple):
 
 
 class Look(NamedTuple):
-    """What the search found, best first; starts that agreed of those tried, and how much of what
-    varies the light explains (1 all)."""
+    """What the search found, best first; where the light of every start (n, 2) had come to, and how
+    much of what varies the light explains (1 all)."""
 
     ends: tuple[End, ...]
     model: DiscLight
-    starts_agreed: tuple[int, int]
+    lights: np.ndarray
     explained: float
 
 
@@ -131,15 +131,13 @@ def _with_taps(model: DiscLight, most: int) -> DiscLight:
     return DiscLight(shading, model.shape, model.background)
 
 
-def _at_taps(
-    coordinates: np.ndarray, held: np.ndarray, before: DiscLight, after: DiscLight
-) -> np.ndarray:
-    """Coordinates that look with the taps of ``after`` as these do with those of ``before``."""
-    z = np.array(before.moved(coordinates, held).coordinates(), np.float32)
-    if np.isnan(held[0]) and not np.isnan(held[3]):
-        # Of a weight that is held, more taps make more light.
-        z[0] *= before.samples / after.samples
-    return z
+def _at_taps(held: np.ndarray, model: DiscLight, fewer: DiscLight) -> np.ndarray:
+    """What of ``model`` is held (p,), NaN where free, as ``fewer`` taps that make the same light
+    have it. Coordinates are the same for both."""
+    still, times = held.copy(), model.samples / fewer.samples
+    still[1] **= times
+    still[3] *= times
+    return still
 
 
 def look(
@@ -154,15 +152,17 @@ def look(
     those held, NaN where free."""
     picture = reading.picture
     small = picture.shrunk(-(-max(picture.size) // SIDE))
-    model = _with_taps(template(shading, picture.channels, reading.degree), COARSE_TAPS)
-    still = held(model).copy()
-    free = np.isnan(still)
+    full = template(shading, picture.channels, reading.degree)
+    fixed = held(full).copy()
+    free = np.isnan(fixed)
     if free[EDGE]:
         # Discs are drawn with hard edges; a soft one looks much like another place of the light.
-        still[EDGE], free[EDGE] = SHARP, False
-    if np.isnan(still[[0, 3]]).all():
+        fixed[EDGE], free[EDGE] = SHARP, False
+    if np.isnan(fixed[[0, 3]]).all():
         # What tells exposure and weight apart, the pixel's own value, is for a closer look.
-        still[3], free[3] = shading.defaults.get("weight", 0.8), False
+        fixed[3], free[3] = shading.defaults.get("weight", 0.8), False
+    model = _with_taps(full, COARSE_TAPS)
+    still = _at_taps(fixed, full, model)
     say("votes for the light")
     lights = screen_disc.places(small, seed)
     if {"light_x", "light_y"} <= set(given):
@@ -171,8 +171,8 @@ def look(
     begun = screen_disc.starts(small, small.mask, TERMS[reading.degree], lights, seed, STARTS)
     seen = small.observe(small.informative(FEW, seed))
     points = _rough(begun, free, still, model, seen)
-    few, model = model, _with_taps(template(shading, picture.channels, reading.degree), TAPS)
-    points = [p._replace(coordinates=_at_taps(p.coordinates, still, few, model)) for p in points]
+    model = _with_taps(full, TAPS)
+    still = _at_taps(fixed, full, model)
     masks = _reaching_into_glare(small)
     first, *others = _apart(points)[:TRIED]
     begun_with = [(first, mask) for mask in masks] + [(p, small.mask) for p in others]
@@ -188,43 +188,44 @@ def look(
         return _with_shadows(turns, read, WITH)
 
     trials = sorted(side_by_side(trial, begun_with), key=lambda t: t.point.cost)
-    trials = [t for t in trials[:FOLLOWED] if t.point.cost < WORSE * trials[0].point.cost]
+    trials = [t for t in trials[:FOLLOWED] if t.point.cost <= WORSE * trials[0].point.cost]
     say(f"{len(trials)} of them further")
     more = small.observe(small.informative(MORE, seed + 1))
     begun_again = [Read.of(t.point, t.thought, more) for t in trials]
     ended = side_by_side(lambda read: _with_shadows(turns, read, SIGMAS), begun_again)
-    ended.sort(key=lambda read: read.point.cost)
-    agreed = sum(_near(p, ended[0].point) for p in points)
     coarse = [_enlarged(read.mask, small.mask, picture.mask) for read in ended]
+    copy = small
     if small.size != picture.size:
         say("a finer copy")
-        finer = picture.shrunk(-(-max(picture.size) // (2 * SIDE)))
-        few, model = model, template(shading, picture.channels, reading.degree)
-        turns = Turns(model, finer, reading.unknown, grain(finer), free, still, seed)
-        seen = finer.observe(finer.informative(MORE, seed + 2))
+        copy, model, still = picture.shrunk(-(-max(picture.size) // (2 * SIDE))), full, fixed
+        turns = Turns(model, copy, reading.unknown, grain(copy), free, still, seed)
+        seen = copy.observe(copy.informative(MORE, seed + 2))
 
         def finely(read: Read) -> Read:
-            z = _at_taps(read.point.coordinates, still, few, model)
-            mask = _enlarged(read.mask, small.mask, finer.mask)
-            begin = Read.of(read.point._replace(coordinates=z), mask, seen)
-            return _with_shadows(turns, begin, FINER)
+            mask = _enlarged(read.mask, small.mask, copy.mask)
+            return _with_shadows(turns, Read.of(read.point, mask, seen), FINER)
 
-        copy, ended = finer, side_by_side(finely, ended)
-    else:
-        copy = small
-    first = min(ended, key=lambda read: read.point.cost)
-    here = dataclasses.replace(copy, mask=first.mask)
-    share = explained(first.point.coordinates, still, model, here)
+        ended = side_by_side(finely, ended)
+    both = sorted(zip(ended, coarse, strict=True), key=lambda each: each[0].point.cost)
+    best = both[0][0]
+    share = explained(
+        best.point.coordinates, still, model, dataclasses.replace(copy, mask=best.mask)
+    )
     ends = [
         End(
             np.asarray(model.moved(read.point.coordinates, still).coordinates(), np.float32),
             _enlarged(read.mask, copy.mask, picture.mask),
             mask,
         )
-        for read, mask in sorted(zip(ended, coarse, strict=True), key=lambda e: e[0].point.cost)
+        for read, mask in both
     ]
-    full = template(shading, picture.channels, reading.degree)
-    return Look(tuple(ends), full, (agreed, len(points)), share)
+    return Look(tuple(ends), full, np.stack([p.coordinates[4:6] for p in points]), share)
+
+
+def agreed(look: Look, light: np.ndarray) -> tuple[int, int]:
+    """Starts whose light is where it was found (2,) in the end, of those tried."""
+    near = np.abs(look.lights - light).max(-1) < AGREE
+    return int(np.count_nonzero(near)), len(near)
 
 
 def blocks(picture: Picture, seed: int) -> np.ndarray:

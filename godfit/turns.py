@@ -23,21 +23,23 @@ REACH = 1.01
 
 class Read(NamedTuple):
     """Where a solve ended; the ``mask`` (h, w), of the light pass's size, that it was of; what
-    was ``thought`` (h, w) to be open before any shadow was asked; the pixels that are ``seen``."""
+    was ``thought`` (h, w) to be open before any shadow was asked; the pixels that are ``seen``;
+    coordinates (p,) ``before`` any shadow had a say, if these are known."""
 
     point: Point
     mask: np.ndarray
     thought: np.ndarray
     seen: Observation
+    before: np.ndarray | None = None
 
     @staticmethod
     def of(point: Point, thought: np.ndarray, seen: Observation) -> Read:
         """Under a mask as it is ``thought`` (h, w)."""
         return Read(point, thought, thought, seen.with_mask(thought))
 
-    def with_thought(self, thought: np.ndarray) -> Read:
+    def unshadowed(self) -> Read:
         """No shadow asked yet."""
-        return Read.of(self.point, thought, self.seen)
+        return self.with_mask(self.thought)
 
     def with_mask(self, mask: np.ndarray) -> Read:
         """With the shadows (h, w) that were found; the price is still that of what was thought."""
@@ -107,12 +109,15 @@ class Turns:
             return read.with_mask(mask)
         moved = z.copy()
         moved[self.free] += (step * scale[self.free]).astype(np.float32)
-        moved = np.clip(moved, *(np.asarray(b, np.float32) for b in self.model.bounds()))
-        there = read.with_mask(mask).at(moved)
+        there = read.with_mask(mask).at(self.inside(moved))
         # Where the tangent does not reach, the light stays for the time being.
         if self.surprisal(there) < REACH * self.surprisal(read):
             return there
         return read.with_mask(under().mask)
+
+    def inside(self, coordinates: np.ndarray) -> np.ndarray:
+        """The nearest (p,) that are within the model's bounds."""
+        return np.clip(coordinates, *(np.asarray(b, np.float32) for b in self.model.bounds()))
 
     def surprisal(self, read: Read) -> float:
         """Minus the log-likelihood with the least noise allowed for."""

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from godfit import inputs, screenshot, search
-from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
+from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, SOFT, DiscLight
 from godfit.errors import InputError
 from godfit.explained import grain, predicted
 from godfit.image import Image
@@ -39,14 +39,14 @@ NEAR = (4.0, 2.0, 1.0)
 # Turns of shadows and light, before and after the size of the light pass is decided, and pixels
 # that shadows are found by.
 SOME, TURNS, SHADOWED = 2, 6, 1 << 14
-# How far beside an answer it is looked for: shares of the radius, of the picture, dips of density;
-# each the first time, and half as far every other time.
+# How far beside an answer it is looked for at first, and how often: shares of the radius and of the
+# picture, half as far at every further look, and dips of density, which stay as far apart.
 BESIDE, LOOKS = {RADIUS: 0.2, LIGHT_X: 0.004, LIGHT_Y: 0.004, DENSITY: 1.0}, 3
 # What leaves so much more before the rest has moved is given up, and how much more may be left by
 # what is as likely.
 WORSE, ALIKE = 1.25, 1.02
-# Widths of the disc's edge in texels: as it is drawn without anti-aliasing, and where a soft one's
-# is looked for from. A texel on the rim that is off by a little its shadow tells.
+# Widths of the disc's edge in texels: of one that is drawn without anti-aliasing, whose rim is left
+# to the shadows, and from where a soft one's is looked for.
 HARD, WIDE = 0.1, 1.0
 # The size of a light pass that is tried beside the picture's own.
 HALF = 0.5
@@ -124,47 +124,50 @@ def found_in(
     rays = looked.explained > RAYS
     rounds = ROUNDS if rays else 1
 
-    def begun(end: screenshot.End, mask: np.ndarray, scale: float | None) -> Read:
+    def begun(end: screenshot.End, scale: float | None) -> Read:
         at = Point(end.coordinates, np.inf, False, 0)
-        return Read.of(at, inputs.shrink_mask(mask, scale or 1.0), seen)
+        return Read.of(at, inputs.shrink_mask(end.mask, scale or 1.0), seen)
 
-    begin = begun(best, best.mask, pass_scale)
+    begin = begun(best, pass_scale)
     if rays:
         smaller = []
         if pass_scale is None:
             # On a copy of that size shadows were those of such a pass.
-            smaller = [begun(best, mask, HALF) for mask in (best.mask, best.coarse)]
+            smaller = [begun(end, HALF) for end in (best, best._replace(mask=best.coarse))]
         say("shadows")
-        first, read = _of_its_size(turns, begin, smaller)
+        read = _of_its_size(turns, begin, smaller)
         if read.mask.shape != picture.mask.shape:
             pass_scale = HALF
             notes += (COARSE,)
             others = [end._replace(mask=end.coarse) for end in others]
-        say("densities and radii beside it")
+            if soft:
+                turns = _with_edge(turns, HARD / read.mask.shape[0])
+        say("lights, densities and radii beside it")
         thought = inputs.shrink_mask(np.asarray(reading.picture.mask), pass_scale or 1.0)
         read = read._replace(thought=thought)
-        read, doubts = _best(turns, first, read, [begun(e, e.mask, pass_scale) for e in others])
+        read, doubts = _best(turns, read, [begun(end, pass_scale) for end in others])
         if soft:
             turns, read = _softened(turns, read)
     else:
-        first = read = turns.solved(begin, NEAR[-1])
-        doubts = []
-    (point, mask, _, seen), free, held = read, turns.free, turns.held
+        read, doubts = turns.solved(begin, NEAR[-1]), []
+    point, mask, seen, free, held = read.point, read.mask, read.seen, turns.free, turns.held
     picture = dataclasses.replace(picture, mask=mask)
     settled, tangent = search.settle(point.coordinates, model, seen, free, held, rounds=rounds)
     at = _with_ranges(evidence(settled, tangent, seen), model.ranges(settled.coordinates))
     found = Found(model, picture, seen, settled, at, free, held, opened, False)
-    found.starts_agreed = looked.starts_agreed
+    found.starts_agreed = screenshot.agreed(looked, settled.coordinates[LIGHT_X : LIGHT_Y + 1])
     objection = "" if rays else NO_RAYS.format(100 * max(looked.explained, 0))
     remarks = []
-    if looked.starts_agreed[0] < 2 and looked.starts_agreed[1] > 1:
-        remarks.append(DISAGREE.format(*looked.starts_agreed))
-    if hidden:
+    if found.starts_agreed[0] < 2 and found.starts_agreed[1] > 1:
+        remarks.append(DISAGREE.format(*found.starts_agreed))
+    if _hidden(model, settled.coordinates, held, picture):
         remarks.append(HIDDEN)
-    # As far from what was found as the rivals are from what was first thought.
+    # As far from what was found as the rivals are from what the search ended with.
+    scale = pass_scale or 1.0
+    away = picture.mask - inputs.shrink_mask(best.mask, scale)
     rivals = (
-        picture.mask + inputs.shrink_mask(mask, pass_scale or 1.0) - first.mask
-        for mask in _rivals(best.mask, np.asarray(reading.picture.mask))
+        away + inputs.shrink_mask(rival, scale)
+        for rival in _rivals(best.mask, np.asarray(reading.picture.mask))
     )
     shifts = [
         _shift(settled, tangent, model, seen, free, held, rival.clip(0, 1).astype(np.float32))
@@ -179,15 +182,15 @@ def found_in(
     return found, notes
 
 
-def _of_its_size(turns: Turns, own: Read, smaller: list[Read]) -> tuple[Read, Read]:
+def _of_its_size(turns: Turns, own: Read, smaller: list[Read]) -> Read:
     """Solved under a light pass of its ``own`` size or, where that is likelier, under one of the
-    ``smaller``; before and after each has the shadows that suit it."""
+    ``smaller``, each with the shadows that suit it."""
 
     own, *smaller = side_by_side(lambda read: _near(turns, read), [own, *smaller])
     sizes = [own, *sorted(smaller, key=_cost)[:1]]
     turned = side_by_side(lambda read: turns.turned(read, SHADOWED, SOME), sizes)
     likelier = turned[-1].point.cost < turned[0].point.cost - DOUBT
-    return (sizes[-1], turned[-1]) if likelier else (sizes[0], turned[0])
+    return turned[-1] if likelier else turned[0]
 
 
 def _near(turns: Turns, read: Read) -> Read:
@@ -195,19 +198,17 @@ def _near(turns: Turns, read: Read) -> Read:
     foreign."""
     for sigma in NEAR:
         read = turns.solved(read, sigma)
-    return read
+    return read._replace(before=read.point.coordinates)
 
 
 def _cost(read: Read) -> float:
     return read.point.cost
 
 
-def _best(
-    turns: Turns, first: Read, read: Read, others: list[Read]
-) -> tuple[Read, list[np.ndarray]]:
+def _best(turns: Turns, read: Read, others: list[Read]) -> tuple[Read, list[np.ndarray]]:
     """The best of what is found from an answer, from ``others`` and from beside them, and changes
     (p,) that it may be off by: a mask that explains more takes the light with it from where it was
-    at ``first``, and what differs in density may explain as much."""
+    before, and what lies elsewhere may explain as much."""
 
     def afar(other: Read) -> Read:
         other = _near(turns, other)._replace(thought=read.thought)
@@ -215,22 +216,28 @@ def _best(
 
     def afresh(read: Read) -> Read:
         # A mask that has settled holds the light where it is.
-        return turns.turn(read.with_thought(read.thought), SHADOWED, turns.noise)
+        return turns.turn(read.unshadowed(), SHADOWED, turns.noise)
 
     work = [functools.partial(afresh, read), *(functools.partial(afar, o) for o in others)]
     found = [read, *side_by_side(lambda find: find(), work)]
     best = min(found, key=turns.total)
+    tried = None
     for look in range(LOOKS):
         for index, by in BESIDE.items():
-            if turns.free[index]:
-                by = by if index == DENSITY else by / 2**look
-                found += side_by_side(functools.partial(_beside, turns, best, index), (-by, by))
-                best = min(found, key=turns.total)
+            if not turns.free[index] or (index == DENSITY and tried is best):
+                continue
+            if index == DENSITY:
+                tried = best
+            else:
+                by /= 2**look
+            found += side_by_side(functools.partial(_beside, turns, best, index), (-by, by))
+            best = min(found, key=turns.total)
     best = turns.turned(best, SHADOWED, TURNS)
     limit, z = ALIKE * turns.total(best), best.point.coordinates
     alike = [r.point.coordinates - z for r in found if turns.total(r) < limit]
-    doubts = [z - first.point.coordinates, *sorted(alike, key=lambda d: abs(d[DENSITY]))[-1:]]
-    return best, doubts
+    scale = turns.model.scales(z)
+    doubts = sorted(alike, key=lambda d: np.abs(d / scale)[turns.free].max(initial=0))[-1:]
+    return best, doubts if best.before is None else [z - best.before, *doubts]
 
 
 def _beside(turns: Turns, read: Read, index: int, by: float) -> Read:
@@ -244,28 +251,40 @@ def _beside(turns: Turns, read: Read, index: int, by: float) -> Read:
             z[DENSITY] = 1 - (1 + by) * (1 - z[DENSITY])
         if turns.free[GAIN]:
             z[GAIN] /= 1 + by
+        elif turns.free[0]:
+            z[0] *= z[DENSITY] / read.point.coordinates[DENSITY] / (1 + by)
     elif index == DENSITY:
         z[DENSITY] *= 1 + by / turns.model.samples
     else:
         z[index] += by
-    z = np.clip(z, *(np.asarray(b, np.float32) for b in turns.model.bounds()))
     free = turns.free.copy()
     free[index] = False
-    there = dataclasses.replace(turns, free=free).turn(read.at(z), SHADOWED, turns.noise)
+    held = dataclasses.replace(turns, free=free)
+    there = held.turn(read.at(turns.inside(z)), SHADOWED, turns.noise)
     if turns.total(there) > WORSE * turns.total(read):
         return there
     return turns.turn(there, SHADOWED, turns.noise)
 
 
+def _with_edge(turns: Turns, width: float | None) -> Turns:
+    """With the disc's edge held at a ``width`` in picture heights, or free."""
+    free, held = turns.free.copy(), turns.held.copy()
+    free[EDGE], held[EDGE] = width is None, np.nan if width is None else width
+    return dataclasses.replace(turns, free=free, held=held)
+
+
 def _softened(turns: Turns, read: Read) -> tuple[Turns, Read]:
-    """With a soft edge of the disc where that explains more."""
-    free, held, z = turns.free.copy(), turns.held.copy(), read.point.coordinates.copy()
-    free[EDGE], held[EDGE], z[EDGE] = True, np.nan, WIDE / read.mask.shape[0]
-    softer = dataclasses.replace(turns, free=free, held=held)
-    there = softer.turn(softer.solved(read.at(z), turns.noise), SHADOWED, turns.noise)
-    if softer.total(there) < turns.total(read) - DOUBT:
-        return softer, softer.turned(there, SHADOWED, SOME)
-    return turns, read
+    """With a soft edge of the disc where that explains more than another turn with a hard one."""
+    softer, z, rows = _with_edge(turns, None), read.point.coordinates.copy(), read.mask.shape[0]
+    z[EDGE] = WIDE / rows
+    begin = softer.solved(read.at(z), turns.noise)
+    both = [(softer, begin), (turns, read)]
+    soft, hard = side_by_side(lambda each: each[0].turn(each[1], SHADOWED, turns.noise), both)
+    hard = min(read, hard, key=turns.total)
+    wide = soft.point.coordinates[EDGE] > SOFT / rows
+    if wide and softer.total(soft) < turns.total(hard) - DOUBT:
+        return softer, softer.turned(soft, SHADOWED, SOME)
+    return turns, hard
 
 
 def _rivals(mask: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, ...]:

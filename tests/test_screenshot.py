@@ -296,6 +296,24 @@ def test_without_rays_a_fit_does_not_converge(screen, looks, monkeypatch):
     assert "no rays were found" in result.message
 
 
+def test_what_is_held_makes_the_same_light_of_fewer_taps():
+    model = disc_model(samples=200)
+    fewer = screenshot._with_taps(model, 50)
+    held = np.full(len(model.parameters), np.nan)
+    held[1], held[3] = model.shading.decay, model.shading.weight
+    open_ = jnp.ones(SIZE).at[30:60, 60:75].set(0.0)
+    z = np.asarray(model.coordinates())
+    at = fewer.moved(z, screenshot._at_taps(held, model, fewer))
+    light, same = (np.asarray(m.light_pass(open_, method="reference")) for m in (model, at))
+    assert np.abs(same - light).mean() < 0.05 * light.mean()
+
+
+def test_a_black_picture_has_no_rays():
+    result = godfit.fit(np.zeros((64, 64, 3), np.uint8), shader="dawntime", samples=20)
+    assert not result.converged
+    assert "no rays were found" in result.message
+
+
 @pytest.mark.parametrize("scale", [1.0, 0.5], ids=["whole", "half"])
 def test_the_size_of_the_light_pass_is_found(scale, monkeypatch):
     """And, where it is smaller, its shadows: from a mask whose object is a pixel too small."""
@@ -315,7 +333,8 @@ def test_the_size_of_the_light_pass_is_found(scale, monkeypatch):
     picture = dataclasses.replace(reading.picture, mask=thought, valid=~silent)
     reading = reading._replace(picture=picture, unknown=unknown, degree=0)
     z = np.asarray(model.coordinates(), np.float32)
-    found = screenshot.Look((screenshot.End(z, thought, thought),), model, (3, 3), 0.9)
+    end = screenshot.End(z, thought, thought)
+    found = screenshot.Look((end,), model, np.tile(z[4:6], (3, 1)), 0.9)
     monkeypatch.setattr(screenshot, "read", lambda *_: reading)
     monkeypatch.setattr(screenshot, "look", lambda *_: found)
     held = {"edge": 0.01, "exposure": 0.05}
