@@ -21,8 +21,8 @@ from godfit.upsample import Texels
 LEVELS = 255.0
 # Larger pictures are searched at this size: coordinates do not depend on it.
 SEARCH_SIZE = 1024
-# Pixels that those are chosen among about which the target varies.
-CANDIDATES = 1 << 16
+# Pixels that informative ones are chosen among.
+CANDIDATES = 1 << 21
 
 
 class Observation(eqx.Module):
@@ -233,18 +233,16 @@ class Picture:
         if len(candidates) <= count:
             return candidates
         rng = np.random.default_rng(seed)
-        even = rng.choice(candidates, count // 2, replace=False)
-        chance = self._slopes.copy()
+        if len(candidates) > CANDIDATES:
+            candidates = np.unique(candidates[rng.integers(0, len(candidates), CANDIDATES)])
+        even = rng.permutation(len(candidates))[: count // 2]
+        chance = self._slopes[candidates].astype(np.float64)
         chance[even] = 0
-        chance[~self.valid.ravel()] = 0
-        varied, odd = np.flatnonzero(chance), count - len(even)
-        if len(varied) < odd:
-            return np.sort(rng.choice(candidates, count, replace=False))
-        if len(varied) > max(CANDIDATES, odd):
-            varied = rng.choice(varied, max(CANDIDATES, odd), replace=False)
-        chance = chance[varied].astype(np.float64)
-        drawn = rng.choice(varied, odd, replace=False, p=chance / chance.sum())
-        return np.sort(np.concatenate([even, drawn]))
+        odd = count - len(even)
+        if np.count_nonzero(chance) < odd:
+            return np.sort(rng.permutation(candidates)[:count])
+        chosen = rng.choice(len(candidates), odd, replace=False, p=chance / chance.sum())
+        return np.sort(candidates[np.concatenate([even, chosen])])
 
     @functools.cached_property
     def _slopes(self) -> np.ndarray:
