@@ -41,7 +41,7 @@ NEAR = (4.0, 2.0, 1.0)
 SOME, TURNS, SHADOWED = 2, 6, 1 << 14
 # How far beside an answer it is looked for at first, and how often: shares of the radius and of the
 # picture, half as far at every further look, and dips of density, which stay as far apart.
-BESIDE, LOOKS = {RADIUS: 0.2, LIGHT_X: 0.004, LIGHT_Y: 0.004, DENSITY: 1.0}, 3
+BESIDE, LOOKS = {RADIUS: 0.2, LIGHT_X: 0.004, LIGHT_Y: 0.004, DENSITY: 1.0}, 2
 # What leaves so much more before the rest has moved is given up, and how much more may be left by
 # what is as likely.
 WORSE, ALIKE = 1.25, 1.02
