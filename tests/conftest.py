@@ -46,6 +46,8 @@ COMPILED = (
     "godfit.contours",
     "godfit.crossing",
     "godfit.shadows",
+    "godfit.lasso",
+    "godfit.texel_sums",
     "godfit.flatland.compiled_walk",
     "godfit.flatland.compiled",
     "godfit.flatland.compiled_derivatives",

@@ -10,9 +10,10 @@ from scipy.optimize import minimize
 
 from godfit import unaided
 from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
+from godfit.lasso import Along, lasso
 from godfit.models import Mitchell
 from godfit.observation import Picture
-from godfit.occluders import _Along, _bounded, refined
+from godfit.occluders import refined
 from godfit.solver import Point
 from godfit.turns import Read, Turns
 
@@ -25,7 +26,7 @@ def test_shadows_and_what_moves_along_are_the_best_together(moving, flip):
     """Against a general minimiser of the same function, texels split into what they open and what
     they close, so that it is smooth."""
     rng = np.random.default_rng(moving)
-    design = sparse.random_array((300, 40), density=0.2, rng=rng, format="csr")
+    design = sparse.csc_matrix(sparse.random_array((300, 40), density=0.2, rng=rng))
     moves, weight = rng.normal(size=(300, moving)), rng.uniform(0.2, 1, 300)
     goal = design @ rng.uniform(-0.5, 1.5, 40) + moves @ rng.normal(size=moving)
     thought, pull, noise = rng.uniform(size=40), 0.7, 0.5
@@ -46,10 +47,8 @@ def test_shadows_and_what_moves_along_are_the_best_together(moving, flip):
     best = minimize(
         function, np.zeros(80 + moving), jac=True, method="L-BFGS-B", bounds=bounds, options=options
     ).x
-    along = _Along(moves, weight, noise)
-    share = thought
-    for _ in range(5):
-        share = _bounded(design, goal, weight, along, thought, share, pull, flip)
+    along = Along(moves, weight, noise)
+    share = lasso(design, goal, along, thought, thought, pull, flip, short=1e-9)
     np.testing.assert_allclose(share, thought + best[:40] - best[40:80], atol=1e-5)
     np.testing.assert_allclose(along.step(goal - design @ share), best[80:], atol=1e-5)
     # Some are at either bound and, where changes cost by their size, some as they were thought.
