@@ -32,6 +32,8 @@ FIRST = len(SCATTERING) + 2 + len(SHAPE)
 # Coordinates: density, what the disc adds, light, radius, edge, what the veil adds.
 DENSITY, GAIN, LIGHT_X, LIGHT_Y, RADIUS, EDGE, VEIL = 2, 3, 4, 5, 6, 7, 8
 CHANNELS = "rgb"
+# As dark as a veil that is seen may be.
+DARK = 0.01
 # Texels that a disc's edge is wide, least, in derivatives: a harder one steps from texel to texel.
 SOFT = 0.3
 # Powers of x and y, each from -1 to 1 over the picture, in order of degree.
@@ -142,7 +144,9 @@ class DiscLight(AbstractModel):
         shading = self.shading.moved(jnp.asarray(coordinates[:6]).at[GAIN].set(gain), held[:6])
         # A weight that is held says what the gain is.
         gain = jnp.where(free[GAIN], gain, shading.coordinates()[GAIN])
-        veil = jnp.clip(veiled / jnp.where(gain > 0, gain, 1.0), 0, 1)
+        veil = veiled / jnp.where(gain > 0, gain, 1.0)
+        # Not clipped: where there is no disc, what one adds takes from the veil's share.
+        veil = jnp.where(veil > 1, 1.0, jnp.maximum(veil, 0.0))
         rest = jnp.where(free[6:], coordinates[6:], held[6:])
         shape = rest[:3].at[2].set(jnp.where(free[VEIL], veil, held[VEIL]))
         at = (shading, shape, rest[3:].reshape(self.background.shape))
@@ -167,7 +171,10 @@ class DiscLight(AbstractModel):
     def ranges(self, coordinates: np.ndarray) -> np.ndarray:
         rest = np.full(len(coordinates) - 6, 0.3)
         rest[:3] = 0.2, 0.01, max(coordinates[VEIL], 0.05)
-        return np.concatenate([self.shading.ranges(coordinates[:6]), rest])
+        scattering = self.shading.ranges(coordinates[:6])
+        # What a disc out of sight would add is told by its veil alone, and by how dark veils are.
+        scattering[GAIN] = max(scattering[GAIN], coordinates[VEIL] / DARK)
+        return np.concatenate([scattering, rest])
 
     def occlusion(self, open_: Float[Array, "h w"], least: float = 0.0) -> Float[Array, "h w"]:
         """The mask that the light pass reads, with the disc's edge at ``least`` so wide, in

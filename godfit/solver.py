@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -23,7 +23,7 @@ Switches = Bool[Array, " p"] | Bool[np.ndarray, " p"]
 Scalar = Float[Array, ""] | np.float32
 
 MAX_ACTIVE_SET_ROUNDS = 6
-MAX_STEPS = 12
+MAX_STEPS, RTOL = 12, 1e-5
 MAX_TANGENT_STEPS = 60
 # Gain in log-likelihood that is not worth another step on a tangent.
 ENOUGH = 1e-2
@@ -47,6 +47,8 @@ def _least_squares(
     model: AbstractModel,
     seen: Observation,
     sigma: Scalar,
+    rtol: Scalar,
+    most: int,
 ):
     def residuals(y, _):
         at = model.moved(jnp.where(free, y * scale, start), held)
@@ -55,10 +57,9 @@ def _least_squares(
     # Residuals of order one in sum make the solver's first damping, 1, mean something: it starts
     # between the gradient and the Newton step instead of leaping.
     share = seen.lo.shape[0] ** -0.5
-    solver = optx.LevenbergMarquardt(rtol=1e-5, atol=1e-6, linear_solver=lx.QR())
-    solution = optx.least_squares(
-        residuals, solver, start / scale, max_steps=MAX_STEPS, throw=False
-    )
+    limits: Any = rtol, rtol / 10
+    solver = optx.LevenbergMarquardt(*limits, linear_solver=lx.QR())
+    solution = optx.least_squares(residuals, solver, start / scale, max_steps=most, throw=False)
     coordinates = jnp.where(free, solution.value * scale, start)
     cost = 0.5 * jnp.sum((solution.state.f_info.residual / share) ** 2)
     settled = solution.result == optx.RESULTS.successful
@@ -120,14 +121,20 @@ def solve(
     sigma: float,
     *,
     bounded: bool = True,
+    rtol: float = RTOL,
+    most: int = MAX_STEPS,
 ) -> Point:
     """Minimise the deviance over the ``free`` coordinates, inside the model's bounds or, far from
-    the answer, without them: the way there may lead outside, where the sum is as smooth."""
+    the answer, without them: the way there may lead outside, where the sum is as smooth. At
+    ``most`` so many steps, or until none changes coordinates, in scales, and deviance by more than
+    a share of ``rtol``."""
+
+    limits = np.float32(sigma), np.float32(rtol), most
 
     def run(z, moving):
         scale = model.scales(z)
         with one_thread():
-            found = _least_squares(z, moving, scale, held, model, seen, np.float32(sigma))
+            found = _least_squares(z, moving, scale, held, model, seen, *limits)
             # JAX goes on before it is done.
             return jax.block_until_ready(found)
 

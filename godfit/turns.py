@@ -15,8 +15,9 @@ from godfit.observation import Observation, Picture, shrink
 from godfit.occluders import Shadows, price, refined
 from godfit.solver import Point, linearise, solve
 
-# Solves of one noise, most, and the share of the cost that is worth another turn.
-MAX_SOLVES, WORTH = 8, 0.02
+# Solves of one noise, most, their steps, the relative changes that end them, and the share of the
+# cost that is worth another turn: the shadows are about to change anyway.
+MAX_SOLVES, STEPS, RTOL, WORTH = 12, 6, 1e-3, 0.02
 # Surprisal may rise by so much on the tangent, which a solve follows.
 REACH = 1.01
 
@@ -73,17 +74,21 @@ class Turns:
     def solved(self, read: Read, sigma: float) -> Read:
         """One solve with so much noise allowed for."""
         sigma = max(sigma, self.texture)
-        start = read.point.coordinates
-        return read._replace(point=solve(start, self.free, self.held, self.model, read.seen, sigma))
+        point = solve(
+            read.point.coordinates, self.free, self.held, self.model, read.seen, sigma,
+            rtol=RTOL, most=STEPS,
+        )  # fmt: skip
+        return read._replace(point=point)
 
     def descended(self, read: Read, sigma: float) -> Read:
         """Solved until it makes no more headway: radius, veil, attenuation and light trade in a
         long, bent valley."""
-        read = self.solved(read, sigma)
+        cost = np.inf
         for _ in range(MAX_SOLVES):
-            before, read = read, self.solved(read, sigma)
-            if not read.point.cost < 0.99 * before.point.cost:
+            read = self.solved(read, sigma)
+            if read.point.settled or not read.point.cost < 0.99 * cost:
                 break
+            cost = read.point.cost
         return read
 
     def shaded(self, read: Read, rows: int) -> Read:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from godfit import inputs, screenshot, search
-from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, SOFT, DiscLight
+from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, SOFT, VEIL, DiscLight
 from godfit.errors import InputError
 from godfit.explained import grain, predicted
 from godfit.image import Image
@@ -41,7 +41,7 @@ NEAR = (4.0, 2.0, 1.0)
 SOME, TURNS, SHADOWED = 2, 6, 1 << 14
 # How far beside an answer it is looked for at first, and how often: shares of the radius and of the
 # picture, half as far at every further look, and dips of density, which stay as far apart.
-BESIDE, LOOKS = {RADIUS: 0.2, LIGHT_X: 0.004, LIGHT_Y: 0.004, DENSITY: 1.0}, 2
+BESIDE, LOOKS = {RADIUS: 0.2, LIGHT_X: 0.004, LIGHT_Y: 0.004, DENSITY: 1.0, GAIN: 1.0}, 2
 # What leaves so much more before the rest has moved is given up, and how much more may be left by
 # what is as likely.
 WORSE, ALIKE = 1.25, 1.02
@@ -158,6 +158,8 @@ def found_in(
     found.starts_agreed = screenshot.agreed(looked, settled.coordinates[LIGHT_X : LIGHT_Y + 1])
     objection = "" if rays else NO_RAYS.format(100 * max(looked.explained, 0))
     remarks = []
+    if free[GAIN] and free[VEIL] and _out_of_sight(model, settled.coordinates, picture):
+        opened.append((GAIN, [VEIL]))
     if found.starts_agreed[0] < 2 and found.starts_agreed[1] > 1:
         remarks.append(DISAGREE.format(*found.starts_agreed))
     if _hidden(model, settled.coordinates, held, picture):
@@ -255,6 +257,8 @@ def _beside(turns: Turns, read: Read, index: int, by: float) -> Read:
             z[0] *= z[DENSITY] / read.point.coordinates[DENSITY] / (1 + by)
     elif index == DENSITY:
         z[DENSITY] *= 1 + by / turns.model.samples
+    elif index == GAIN:
+        z[GAIN] *= 2**by
     else:
         z[index] += by
     free = turns.free.copy()
@@ -332,6 +336,13 @@ def _shift(
         sigma, seen.foreign,
     )  # fmt: skip
     return np.where(free, point.coordinates - settled.coordinates, 0.0)
+
+
+def _out_of_sight(model: DiscLight, z: np.ndarray, picture: Picture) -> bool:
+    """Whether all of the disc lies off the picture."""
+    (u, v), (h, w) = z[LIGHT_X : LIGHT_Y + 1], picture.size
+    away = np.hypot(max(-u, u - 1, 0) * w / h, max(-v, v - 1, 0))
+    return bool(away >= z[RADIUS])
 
 
 def _hidden(model: DiscLight, z: np.ndarray, held: np.ndarray, picture: Picture) -> bool:
