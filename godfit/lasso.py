@@ -45,8 +45,8 @@ def lasso(
     short: float = SHORT,
 ) -> np.ndarray:
     """Shares (m,) in [0, 1] for which ``design`` (n, m) is nearest to ``goal`` (n,), from ``start``
-    (m,): each costs ``flip`` times how far it is from what was ``thought`` (m,), and half the
-    square of ``pull`` times that. The last step is at most ``short``."""
+    (m,): each costs ``flip`` times how far it is from what was ``thought`` (m,), and half of
+    ``pull`` times the square of that. The last step is at most ``short``."""
     share = start.astype(np.float64)
     off = goal - design @ share
     shared = design.T @ along.weighted
@@ -65,7 +65,7 @@ def _descend(problem, off, step, share, short):
     """``share`` (m,) in place, and with it the ``step`` (q,) of what moves along and ``off`` (n,),
     what is left of the goal, weighted."""
     data, rows, starts, weight, shared, taken, thought, pull, _ = problem
-    size = np.full(len(share), pull**2)
+    size = np.full(len(share), pull)
     for j in range(len(share)):
         for k in range(starts[j], starts[j + 1]):
             size[j] += weight[rows[k]] * data[k] ** 2
@@ -87,7 +87,7 @@ def _swept(some, problem, size, off, step, share):
     data, rows, starts, weight, shared, taken, thought, pull, flip = problem
     longest = 0.0
     for j in some:
-        slope = -(pull**2) * (share[j] - thought[j])
+        slope = -pull * (share[j] - thought[j])
         for q in range(len(step)):
             slope -= shared[j, q] * step[q]
         for k in range(starts[j], starts[j + 1]):

@@ -26,10 +26,10 @@ from godfit.texel_sums import texel_sums
 
 ROUNDS = 3
 # Levels at which a pixel that is off no longer counts in full; of a textured picture, in units of
-# its texture. What it costs, in log-likelihood, that a texel is solid that was thought to be open,
-# or open: by how much, so that a few change for good rather than all of them a little, and, for the
-# sake of a unique answer, a little by its square.
-HUBER, FLIP, PULL = 1.0, 4.5, 0.5
+# its texture. What it costs, in log-likelihood of all of a picture's pixels, that a texel is solid
+# that was thought to be open, or open: by how much, so that a few change for good rather than all
+# of them a little, and, for the sake of a unique answer, a little by its square.
+HUBER, FLIP, PULL = 1.0, 36.0, 2.0
 # Taps that are held at once, most: some tens of bytes each.
 HELD = 1 << 21
 
@@ -80,9 +80,10 @@ def refined(
     share = thought
     weight = np.ones_like(goal)
     noise = max(1.0, texture)
+    each = noise**2 * len(pixels) / (picture.size[0] * picture.size[1])
     for _ in range(ROUNDS):
         along = Along(moves, weight, noise)
-        share = lasso(design, goal, along, thought, share, noise * PULL, noise**2 * FLIP)
+        share = lasso(design, goal, along, thought, share, PULL * each, FLIP * each)
         step = along.step(goal - design @ share)
         off = np.abs(goal - design @ share - moves @ step)
         weight = np.minimum(1, noise * HUBER / np.maximum(off, 1e-9)).astype(np.float32)
@@ -91,10 +92,11 @@ def refined(
     return Shadows(out.reshape(h, w).astype(np.float32), step)
 
 
-def price(mask: np.ndarray, thought: np.ndarray) -> float:
-    """What it costs, in log-likelihood, that ``mask`` (h, w) is not what was ``thought`` (h, w)."""
+def price(mask: np.ndarray, thought: np.ndarray, share: float) -> float:
+    """What it costs, in log-likelihood of that ``share`` of a picture's pixels, that ``mask``
+    (h, w) is not what was ``thought`` (h, w)."""
     change = np.abs(mask - thought)
-    return float(FLIP * change.sum() + PULL**2 / 2 * (change**2).sum())
+    return share * float(FLIP * change.sum() + PULL / 2 * (change**2).sum())
 
 
 def _affordable(model: DiscLight, size: tuple[int, int], low: tuple[int, int]) -> int:

@@ -292,7 +292,7 @@ def _rough(
 def _with_shadows(turns: Turns, read: Read, sigmas: tuple[float, ...]) -> Read:
     """Light and occluders in turn, until they suit each other."""
     for sigma in sigmas:
-        read = turns.turn(read, len(read.seen.pixels), sigma)
+        read = turns.turn(read, sigma)
     return turns.solved(read, 1.0)
 
 

@@ -91,9 +91,9 @@ class Turns:
             cost = read.point.cost
         return read
 
-    def shaded(self, read: Read, rows: int) -> Read:
-        """With the shadows that suit the light best, by ``rows`` pixels, and the light moved along
-        on its tangent."""
+    def shaded(self, read: Read) -> Read:
+        """With the shadows that suit the light best, by as many pixels as are seen, and the light
+        moved along on its tangent."""
         z = read.point.coordinates
         here = dataclasses.replace(self.picture, mask=read.mask)
         unknown = shrink(self.unknown.astype(np.float32), read.mask.shape[:2]) > 0
@@ -105,8 +105,8 @@ class Turns:
 
         def under(slopes=None) -> Shadows:
             return refined(
-                self.model.moved(z, self.held), here, unknown, read.thought, rows, self.seed,
-                self.texture, slopes,
+                self.model.moved(z, self.held), here, unknown, read.thought, len(read.seen.pixels),
+                self.seed, self.texture, slopes,
             )  # fmt: skip
 
         mask, step = under(slopes)
@@ -133,16 +133,17 @@ class Turns:
 
     def total(self, read: Read) -> float:
         """What a solve left and what the shadows cost."""
-        return read.point.cost + price(read.mask, read.thought)
+        share = len(read.seen.pixels) / (self.picture.size[0] * self.picture.size[1])
+        return read.point.cost + price(read.mask, read.thought, share)
 
-    def turn(self, read: Read, rows: int, sigma: float) -> Read:
+    def turn(self, read: Read, sigma: float) -> Read:
         """The shadows under the light that was found, and the light under these."""
-        return self.descended(self.shaded(read, rows), sigma)
+        return self.descended(self.shaded(read), sigma)
 
-    def turned(self, read: Read, rows: int, most: int) -> Read:
+    def turned(self, read: Read, most: int) -> Read:
         """Turn by turn, for as long as it helps."""
         for _ in range(most):
-            there = self.turn(read, rows, self.noise)
+            there = self.turn(read, self.noise)
             gained = 1 - self.total(there) / self.total(read)
             if gained > 0:
                 read = there

@@ -10,6 +10,7 @@ import dataclasses
 import functools
 from collections.abc import Callable, Mapping
 
+import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
@@ -36,18 +37,19 @@ FAINT = 0.1
 ROUNDS = 25
 # Noise in levels that the copy's answer may be off by, less and less.
 NEAR = (4.0, 2.0, 1.0)
-# Turns of shadows and light, before and after the size of the light pass is decided, and pixels
-# that shadows are found by.
-SOME, TURNS, SHADOWED = 2, 6, 1 << 14
+# Turns of shadows and light, before and after the size of the light pass is decided.
+SOME, TURNS = 2, 6
 # How far beside an answer it is looked for at first, and how often: shares of the radius and of the
 # picture, half as far at every further look, and dips of density, which stay as far apart.
-BESIDE, LOOKS = {RADIUS: 0.2, LIGHT_X: 0.004, LIGHT_Y: 0.004, DENSITY: 1.0, GAIN: 1.0}, 2
+BESIDE, LOOKS = {RADIUS: 0.2, LIGHT_X: 0.004, LIGHT_Y: 0.004, DENSITY: 1.0, GAIN: 1.0}, 6
 # What leaves so much more before the rest has moved is given up, and how much more may be left by
 # what is as likely.
 WORSE, ALIKE = 1.25, 1.02
 # Widths of the disc's edge in texels: of one that is drawn without anti-aliasing, whose rim is left
 # to the shadows, and from where a soft one's is looked for.
 HARD, WIDE = 0.1, 1.0
+# A disc is in sight where it is brighter than the veil by this.
+SEEN = 1.1
 # The size of a light pass that is tried beside the picture's own.
 HALF = 0.5
 # Pixels without which nothing can be told.
@@ -119,6 +121,7 @@ def found_in(
         opened.append((0, [3]))
     texture = grain(picture)
     turns = Turns(model, picture, reading.unknown, texture, free, held, seed)
+    few = picture.observe(picture.informative(screenshot.MORE, seed + 2))
     seen = picture.observe(screenshot.blocks(picture, seed))
     say(f"{len(seen.pixels):,} pixels")
     rays = looked.explained > RAYS
@@ -126,7 +129,7 @@ def found_in(
 
     def begun(end: screenshot.End, scale: float | None) -> Read:
         at = Point(end.coordinates, np.inf, False, 0)
-        return Read.of(at, inputs.shrink_mask(end.mask, scale or 1.0), seen)
+        return Read.of(at, inputs.shrink_mask(end.mask, scale or 1.0), few)
 
     begin = begun(best, pass_scale)
     if rays:
@@ -146,9 +149,13 @@ def found_in(
         thought = inputs.shrink_mask(np.asarray(reading.picture.mask), pass_scale or 1.0)
         read = read._replace(thought=thought)
         read, doubts = _best(turns, read, [begun(end, pass_scale) for end in others])
+        say(f"all of the {len(seen.pixels):,} pixels")
+        read = turns.descended(read._replace(seen=seen.with_mask(read.mask)), turns.noise)
+        read = turns.turned(read, TURNS)
         if soft:
             turns, read = _softened(turns, read)
     else:
+        begin = begin._replace(seen=seen.with_mask(begin.mask))
         read, doubts = turns.solved(begin, NEAR[-1]), []
     point, mask, seen, free, held = read.point, read.mask, read.seen, turns.free, turns.held
     picture = dataclasses.replace(picture, mask=mask)
@@ -158,7 +165,7 @@ def found_in(
     found.starts_agreed = screenshot.agreed(looked, settled.coordinates[LIGHT_X : LIGHT_Y + 1])
     objection = "" if rays else NO_RAYS.format(100 * max(looked.explained, 0))
     remarks = []
-    if free[GAIN] and free[VEIL] and _out_of_sight(model, settled.coordinates, picture):
+    if free[GAIN] and free[VEIL] and _out_of_sight(model, settled.coordinates, held, picture):
         opened.append((GAIN, [VEIL]))
     if found.starts_agreed[0] < 2 and found.starts_agreed[1] > 1:
         remarks.append(DISAGREE.format(*found.starts_agreed))
@@ -190,7 +197,7 @@ def _of_its_size(turns: Turns, own: Read, smaller: list[Read]) -> Read:
 
     own, *smaller = side_by_side(lambda read: _near(turns, read), [own, *smaller])
     sizes = [own, *sorted(smaller, key=_cost)[:1]]
-    turned = side_by_side(lambda read: turns.turned(read, SHADOWED, SOME), sizes)
+    turned = side_by_side(lambda read: turns.turned(read, SOME), sizes)
     likelier = turned[-1].point.cost < turned[0].point.cost - DOUBT
     return turned[-1] if likelier else turned[0]
 
@@ -214,27 +221,32 @@ def _best(turns: Turns, read: Read, others: list[Read]) -> tuple[Read, list[np.n
 
     def afar(other: Read) -> Read:
         other = _near(turns, other)._replace(thought=read.thought)
-        return turns.turned(other, SHADOWED, SOME)
+        return turns.turned(other, SOME)
 
     def afresh(read: Read) -> Read:
         # A mask that has settled holds the light where it is.
-        return turns.turn(read.unshadowed(), SHADOWED, turns.noise)
+        return turns.turn(read.unshadowed(), turns.noise)
 
     work = [functools.partial(afresh, read), *(functools.partial(afar, o) for o in others)]
     found = [read, *side_by_side(lambda find: find(), work)]
     best = min(found, key=turns.total)
+    steps = {index: by for index, by in BESIDE.items() if turns.free[index]}
     tried = None
-    for look in range(LOOKS):
-        for index, by in BESIDE.items():
-            if not turns.free[index] or (index == DENSITY and tried is best):
+    for _ in range(LOOKS):
+        before = best
+        for index, by in steps.items():
+            if index == DENSITY and tried is best:
                 continue
+            there = side_by_side(functools.partial(_beside, turns, best, index), (-by, by))
+            found += there
             if index == DENSITY:
                 tried = best
-            else:
-                by /= 2**look
-            found += side_by_side(functools.partial(_beside, turns, best, index), (-by, by))
-            best = min(found, key=turns.total)
-    best = turns.turned(best, SHADOWED, TURNS)
+            elif turns.total(best) <= min(map(turns.total, there)):
+                steps[index] = by / 2
+            best = min(best, *there, key=turns.total)
+        near = all(by <= BESIDE[i] / 4 for i, by in steps.items() if i != DENSITY)
+        if best is before and near:
+            break
     limit, z = ALIKE * turns.total(best), best.point.coordinates
     alike = [r.point.coordinates - z for r in found if turns.total(r) < limit]
     scale = turns.model.scales(z)
@@ -264,10 +276,10 @@ def _beside(turns: Turns, read: Read, index: int, by: float) -> Read:
     free = turns.free.copy()
     free[index] = False
     held = dataclasses.replace(turns, free=free)
-    there = held.turn(read.at(turns.inside(z)), SHADOWED, turns.noise)
+    there = held.turn(read.at(turns.inside(z)), turns.noise)
     if turns.total(there) > WORSE * turns.total(read):
         return there
-    return turns.turn(there, SHADOWED, turns.noise)
+    return turns.turn(there, turns.noise)
 
 
 def _with_edge(turns: Turns, width: float | None) -> Turns:
@@ -283,11 +295,11 @@ def _softened(turns: Turns, read: Read) -> tuple[Turns, Read]:
     z[EDGE] = WIDE / rows
     begin = softer.solved(read.at(z), turns.noise)
     both = [(softer, begin), (turns, read)]
-    soft, hard = side_by_side(lambda each: each[0].turn(each[1], SHADOWED, turns.noise), both)
+    soft, hard = side_by_side(lambda each: each[0].turn(each[1], turns.noise), both)
     hard = min(read, hard, key=turns.total)
     wide = soft.point.coordinates[EDGE] > SOFT / rows
     if wide and softer.total(soft) < turns.total(hard) - DOUBT:
-        return softer, softer.turned(soft, SHADOWED, SOME)
+        return softer, softer.turned(soft, SOME)
     return turns, hard
 
 
@@ -338,11 +350,10 @@ def _shift(
     return np.where(free, point.coordinates - settled.coordinates, 0.0)
 
 
-def _out_of_sight(model: DiscLight, z: np.ndarray, picture: Picture) -> bool:
-    """Whether all of the disc lies off the picture."""
-    (u, v), (h, w) = z[LIGHT_X : LIGHT_Y + 1], picture.size
-    away = np.hypot(max(-u, u - 1, 0) * w / h, max(-v, v - 1, 0))
-    return bool(away >= z[RADIUS])
+def _out_of_sight(model: DiscLight, z: np.ndarray, held: np.ndarray, picture: Picture) -> bool:
+    """Whether nothing in the picture is lit by more than the veil."""
+    lit = np.asarray(model.moved(z, held).occlusion(jnp.ones(picture.mask.shape, jnp.float32)))
+    return bool(lit.max() < SEEN * lit.min())
 
 
 def _hidden(model: DiscLight, z: np.ndarray, held: np.ndarray, picture: Picture) -> bool:
