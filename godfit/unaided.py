@@ -244,7 +244,7 @@ def _best(turns: Turns, read: Read, others: list[Read]) -> tuple[Read, list[np.n
             elif turns.total(best) <= min(map(turns.total, there)):
                 steps[index] = by / 2
             best = min(best, *there, key=turns.total)
-        near = all(by <= BESIDE[i] / 4 for i, by in steps.items() if i != DENSITY)
+        near = all(by < BESIDE[i] / 4 for i, by in steps.items() if i != DENSITY)
         if best is before and near:
             break
     limit, z = ALIKE * turns.total(best), best.point.coordinates

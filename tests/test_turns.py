@@ -13,7 +13,7 @@ from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
 from godfit.lasso import Along, lasso
 from godfit.models import Mitchell
 from godfit.observation import Picture
-from godfit.occluders import refined
+from godfit.occluders import _sums, refined
 from godfit.solver import Point
 from godfit.turns import Read, Turns
 
@@ -48,13 +48,31 @@ def test_shadows_and_what_moves_along_are_the_best_together(moving, flip):
         function, np.zeros(80 + moving), jac=True, method="L-BFGS-B", bounds=bounds, options=options
     ).x
     along = Along(moves, weight, noise)
-    share = lasso(design, goal, along, thought, thought, pull, flip, short=1e-9)
+    share = lasso(design, goal, along, thought, thought, pull**2, flip, short=1e-9)
     np.testing.assert_allclose(share, thought + best[:40] - best[40:80], atol=1e-5)
     np.testing.assert_allclose(along.step(goal - design @ share), best[80:], atol=1e-5)
     # Some are at either bound and, where changes cost by their size, some as they were thought.
     assert (share == 0).any()
     assert (share == 1).any()
     assert (share == thought).any() == (flip > 0)
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+def test_what_every_texel_adds_is_the_light_pass(scale):
+    """Known and unknown texels together, of a pass of the picture's size and of half of it."""
+    rng = np.random.default_rng(0)
+    shading = Mitchell(0.06, 0.98, 0.8, 0.7, [0.45, 1.1], "dawntime", 40)
+    model = DiscLight(shading, [0.3, 0.01, 0.06], np.zeros((1, 3)))
+    low = SIZE[0] // scale, SIZE[1] // scale
+    mask, unknown = rng.uniform(size=low), rng.uniform(size=low) < 0.4
+    picture = Picture(
+        np.zeros((*SIZE, 3), np.float32), 0.5, np.ones(SIZE, bool), mask, None, "none"
+    )
+    pixels = np.sort(rng.permutation(SIZE[0] * SIZE[1])[:500])
+    known, design = _sums(model, pixels, picture, unknown)
+    light = known + design @ mask[unknown] / 255
+    right = model.light_pass(jnp.asarray(mask), size=SIZE, pixels=jnp.asarray(pixels))
+    np.testing.assert_allclose(light, right, atol=1e-6)
 
 
 def lit(edge, bar):
@@ -89,7 +107,7 @@ def test_light_moves_along_with_the_shadows():
     seen = picture.observe(picture.informative(4000, 0))
     together = apart = Read.of(Point(start, np.inf, False, 0), picture.mask, seen)
     for _ in range(4):
-        together = turns.turn(together, 4000, turns.noise)
+        together = turns.turn(together, turns.noise)
         at = model.moved(apart.point.coordinates, held)
         here = dataclasses.replace(picture, mask=apart.mask)
         mask = refined(at, here, unknown, picture.mask, 4000, 0).mask
@@ -103,7 +121,7 @@ def test_light_moves_along_with_the_shadows():
     assert together.mask[34:40, 66:80].mean() < 0.3
     # What may not move stays where it is.
     still = dataclasses.replace(turns, free=np.zeros(len(truth), bool))
-    shaded = still.shaded(together, 4000)
+    shaded = still.shaded(together)
     assert np.array_equal(shaded.point.coordinates, together.point.coordinates)
 
 
@@ -137,9 +155,7 @@ def test_a_soft_edge_is_read_where_there_is_one(edge):
 )
 def test_what_lies_beside_an_answer_is_found(known, monkeypatch):
     """From a light that is two texels off, with shadows that suit it, and what is known stays."""
-    monkeypatch.setattr(unaided, "SHADOWED", 4000)
     monkeypatch.setattr(unaided, "BESIDE", {LIGHT_X: 0.01, DENSITY: 1.0, RADIUS: 0.2})
-    monkeypatch.setattr(unaided, "LOOKS", 1)
     picture, truth, turns = lit(1e-5, bar=True)
     held, free, z = turns.held.copy(), turns.free.copy(), truth.copy()
     held[known], free[known] = truth[known], False
@@ -149,15 +165,16 @@ def test_what_lies_beside_an_answer_is_found(known, monkeypatch):
     z[LIGHT_X] += 2 / SIZE[1]
     still = dataclasses.replace(turns, free=free & (np.arange(len(z)) != LIGHT_X))
     still, stuck = begun(still, picture, z)
-    stuck = still.turned(stuck, 4000, 6)
+    stuck = still.turned(stuck, 6)
     turns = dataclasses.replace(turns, held=still.held)
     read, _ = unaided._best(turns, stuck, [])
     with monkeypatch.context() as patch:
         patch.setattr(unaided, "BESIDE", {})
         alone, _ = unaided._best(turns, stuck, [])
+        again, _ = unaided._best(turns, stuck, [read])
     off = np.abs(read.point.coordinates - truth)
     assert turns.total(read) < 0.5 * turns.total(alone)
     assert off[[LIGHT_X, LIGHT_Y]].max() < 0.5 / SIZE[1]
     assert (off[[i for i in known if i != GAIN]] == 0).all()
-    again, _ = unaided._best(turns, stuck, [read])
-    assert turns.total(again) <= turns.total(read)
+    # What was found elsewhere is as good a start.
+    assert turns.total(again) < 1.05 * turns.total(read)
