@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -47,7 +47,7 @@ def _least_squares(
     model: AbstractModel,
     seen: Observation,
     sigma: Scalar,
-    rtol: Scalar,
+    rtol: float,
     most: int,
 ):
     def residuals(y, _):
@@ -57,8 +57,7 @@ def _least_squares(
     # Residuals of order one in sum make the solver's first damping, 1, mean something: it starts
     # between the gradient and the Newton step instead of leaping.
     share = seen.lo.shape[0] ** -0.5
-    limits: Any = rtol, rtol / 10
-    solver = optx.LevenbergMarquardt(*limits, linear_solver=lx.QR())
+    solver = optx.LevenbergMarquardt(rtol=rtol, atol=rtol / 10, linear_solver=lx.QR())
     solution = optx.least_squares(residuals, solver, start / scale, max_steps=most, throw=False)
     coordinates = jnp.where(free, solution.value * scale, start)
     cost = 0.5 * jnp.sum((solution.state.f_info.residual / share) ** 2)
@@ -129,7 +128,7 @@ def solve(
     ``most`` so many steps, or until none changes coordinates, in scales, and deviance by more than
     a share of ``rtol``."""
 
-    limits = np.float32(sigma), np.float32(rtol), most
+    limits = np.float32(sigma), rtol, most
 
     def run(z, moving):
         scale = model.scales(z)
