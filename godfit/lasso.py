@@ -13,8 +13,8 @@ from scipy import sparse
 
 from godfit.native import compiled
 
-# Sweeps over all shares, most, and between two of them over those that move; none ends before its
-# longest step is this short.
+# Sweeps over all shares, most, and between two of them over those that move, until the longest step
+# of a sweep is this short.
 SWEEPS, WITHIN, SHORT = 12, 20, 3e-3
 
 
@@ -44,9 +44,10 @@ def lasso(
     flip: float,
     short: float = SHORT,
 ) -> np.ndarray:
-    """Shares (m,) in [0, 1] for which ``design`` (n, m) is nearest to ``goal`` (n,), from ``start``
-    (m,): each costs ``flip`` times how far it is from what was ``thought`` (m,), and half of
-    ``pull`` times the square of that. The last step is at most ``short``."""
+    """Shares (m,) in [0, 1] for which ``design`` (n, m), no entry of which is given twice, is
+    nearest to ``goal`` (n,), from ``start`` (m,): each costs ``flip`` times how far it is from what
+    was ``thought`` (m,), and half of ``pull`` times the square of that. The last step is at most
+    ``short``."""
     share = start.astype(np.float64)
     off = goal - design @ share
     shared = design.T @ along.weighted

@@ -40,7 +40,8 @@ NEAR = (4.0, 2.0, 1.0)
 # Turns of shadows and light, before and after the size of the light pass is decided.
 SOME, TURNS = 2, 6
 # How far beside an answer it is looked for at first, and how often: shares of the radius and of the
-# picture, half as far at every further look, and dips of density, which stay as far apart.
+# picture and powers of two of what the disc adds, half as far where that finds nothing, and dips of
+# density, which stay as far apart.
 BESIDE, LOOKS = {RADIUS: 0.2, LIGHT_X: 0.004, LIGHT_Y: 0.004, DENSITY: 1.0, GAIN: 1.0}, 6
 # What leaves so much more before the rest has moved is given up, and how much more may be left by
 # what is as likely.
