@@ -3,8 +3,8 @@
 Under a given light the picture is linear in what of the mask is open, so that where colour and
 edges do not tell (glare, panels, lines, objects of the background's own colour) the shadows do: how
 open each such pixel is, between 0 and 1, by least squares over the pixels that the light pass can
-be read from, at a price for each that is not as it was thought before; see ``lasso.py``. What throws
-no shadow that is seen stays as it was thought.
+be read from, at a price for each that is not as it was thought before; see ``lasso.py``. What
+throws no shadow that is seen stays as it was thought.
 
 The light may move at the same time: a disc that grows and a shadow that goes look much alike, and
 where each waits for the other they creep.
