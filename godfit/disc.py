@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from godfit.models import AbstractModel, Mitchell, Vector
 from godfit.parameters import SCATTERING, Parameter, light_parameters
@@ -36,6 +36,8 @@ CHANNELS = "rgb"
 DARK = 0.01
 # Texels that a disc's edge is wide, least, in derivatives: a harder one steps from texel to texel.
 SOFT = 0.3
+# Texels from the middle of one that is cut by a disc's edge to that edge, most.
+RIM = 1.0
 # Powers of x and y, each from -1 to 1 over the picture, in order of degree.
 POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
 TERMS = {0: 1, 1: 3, 2: 6, 3: 10}
@@ -178,14 +180,22 @@ class DiscLight(AbstractModel):
 
     def occlusion(self, open_: Float[Array, "h w"], least: float = 0.0) -> Float[Array, "h w"]:
         """The mask that the light pass reads, with the disc's edge at ``least`` so wide, in
-        texels."""
-        h, w = open_.shape
-        x = (jnp.arange(w, dtype=open_.dtype) + 0.5) / w - self.light[0, 0]
-        y = 1 - (jnp.arange(h, dtype=open_.dtype) + 0.5) / h - self.light[0, 1]
+        texels. What is more than open, at the disc's rim, is as bright as the disc at most."""
         radius, edge, veil = self.shape
-        away = jnp.sqrt((x * w / h)[None] ** 2 + y[:, None] ** 2 + 1e-12)
-        disc = jax.nn.sigmoid((radius - away) / jnp.maximum(edge, least / h))
-        return open_ * (veil + (1 - veil) * disc)
+        away = self.away((open_.shape[0], open_.shape[1]))
+        disc = jax.nn.sigmoid((radius - away) / jnp.maximum(edge, least / open_.shape[0]))
+        return jnp.minimum(open_ * (veil + (1 - veil) * disc), 1.0)
+
+    def away(self, size: tuple[int, int]) -> Float[Array, "h w"]:
+        """How far from the light texels are, in picture heights."""
+        h, w = size
+        x = (jnp.arange(w, dtype=self.shape.dtype) + 0.5) / w - self.light[0, 0]
+        y = 1 - (jnp.arange(h, dtype=self.shape.dtype) + 0.5) / h - self.light[0, 1]
+        return jnp.sqrt((x * w / h)[None] ** 2 + y[:, None] ** 2 + 1e-12)
+
+    def rim(self, size: tuple[int, int]) -> Bool[Array, "h w"]:
+        """Texels that the disc's edge may cut."""
+        return jnp.abs(self.away(size) - self.shape[0]) < RIM / size[0]
 
     def __call__(
         self,

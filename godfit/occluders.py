@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import sparse
 
-from godfit.disc import DiscLight, terms
+from godfit.disc import DARK, DiscLight, terms
 from godfit.lasso import Along, lasso
 from godfit.observation import LEVELS, Picture
 from godfit.texel_sums import texel_sums
@@ -59,6 +59,8 @@ def refined(
     ``slopes`` of row-major pixels (n,), (q, n, c), are the derivatives of their levels by what may
     move at the same time."""
     h, w = picture.mask.shape[:2]
+    rim, worth = _rim(model, (h, w))
+    unknown = unknown | rim
     columns = np.flatnonzero(unknown)
     usable = np.flatnonzero(picture.valid & ~picture.clipped)
     if not len(columns) or len(usable) < 100:
@@ -76,7 +78,9 @@ def refined(
     moves = np.zeros((len(pixels), 0), np.float32)
     if slopes is not None:
         moves = (slopes(pixels).astype(np.float64) / over).mean(-1).T.astype(np.float32)
-    thought = prior.reshape(-1)[columns].astype(np.float32)
+    counts = worth.ravel()[columns]
+    design.data /= np.repeat(counts, np.diff(design.indptr))
+    thought = prior.ravel()[columns].astype(np.float32) * counts
     share = thought
     weight = np.ones_like(goal)
     noise = max(1.0, texture)
@@ -88,15 +92,29 @@ def refined(
         off = np.abs(goal - design @ share - moves @ step)
         weight = np.minimum(1, noise * HUBER / np.maximum(off, 1e-9)).astype(np.float32)
     out = picture.mask.reshape(-1).copy()
-    out[columns] = share
+    out[columns] = share / counts
     return Shadows(out.reshape(h, w).astype(np.float32), step)
 
 
-def price(mask: np.ndarray, thought: np.ndarray, share: float) -> float:
+def price(model: DiscLight, mask: np.ndarray, thought: np.ndarray, share: float) -> float:
     """What it costs, in log-likelihood of that ``share`` of a picture's pixels, that ``mask``
     (h, w) is not what was ``thought`` (h, w)."""
-    change = np.abs(mask - thought)
+    _, worth = _rim(model, (mask.shape[0], mask.shape[1]))
+    change = np.abs(np.minimum(mask * worth, 1) - thought * worth)
     return share * float(FLIP * change.sum() + PULL / 2 * (change**2).sum())
+
+
+def _rim(model: DiscLight, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """(h, w) each: where the disc's edge may cut texels, and what there, by how bright it is, one
+    that is open is worth. How they are cut the model does not know: they may be anything from dark
+    to as bright as the disc, so that some are more than open."""
+    rim = np.asarray(model.rim(size))
+    return rim, np.where(rim, np.maximum(_lit(model, size), DARK), 1).astype(np.float32)
+
+
+def _lit(model: DiscLight, size: tuple[int, int]) -> np.ndarray:
+    """(h, w) how bright the light pass finds what is open."""
+    return np.asarray(model.occlusion(jnp.ones(size, jnp.float32)), np.float32)
 
 
 def _affordable(model: DiscLight, size: tuple[int, int], low: tuple[int, int]) -> int:
@@ -129,7 +147,7 @@ def _sums(
     (columns,) = np.nonzero(unknown.ravel())
     place[columns] = np.arange(len(columns))
     light = np.asarray(model.light[0], np.float64) * (low[1], -low[0]) + (-0.5, low[0] - 0.5)
-    lit = np.asarray(model.occlusion(jnp.ones(low, jnp.float32)), np.float32).ravel()
+    lit = _lit(model, low).ravel()
     t, c = (np.asarray(a, np.float64) for a in (taps.t, taps.c))
     t, c = np.append(0.0, t), np.append(float(taps.own), c)
     values = np.asarray(picture.mask, np.float32).ravel()

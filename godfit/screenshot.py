@@ -314,7 +314,7 @@ def _enlarged(mask: np.ndarray, before: np.ndarray, fine: np.ndarray) -> np.ndar
     (h, w), (rows, columns) = fine.shape, mask.shape
     at = np.ix_(np.arange(h) * rows // h, np.arange(w) * columns // w)
     changed = np.abs(mask - before) > 0.25
-    return np.where(changed[at], mask[at], fine).astype(np.float32)
+    return np.where(changed[at], mask[at].clip(0, 1), fine).astype(np.float32)
 
 
 def coordinates_of(start: Mapping[str, float], model: DiscLight) -> np.ndarray:

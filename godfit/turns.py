@@ -18,6 +18,8 @@ from godfit.solver import Point, linearise, solve
 # Solves of one noise, most, their steps, the relative changes that end them, and the share of the
 # cost that is worth another turn: the shadows are about to change anyway.
 MAX_SOLVES, STEPS, RTOL, WORTH = 12, 6, 1e-3, 0.02
+# Pixels that shadows are read from: others than those that are seen, many where few are seen.
+ROWS = 16_384
 # Surprisal may rise by so much on the tangent, which a solve follows.
 REACH = 1.01
 
@@ -92,21 +94,22 @@ class Turns:
         return read
 
     def shaded(self, read: Read) -> Read:
-        """With the shadows that suit the light best, by as many pixels as are seen, and the light
-        moved along on its tangent."""
+        """With the shadows that suit the light best, and the light moved along on its tangent."""
         z = read.point.coordinates
         here = dataclasses.replace(self.picture, mask=read.mask)
+        # What is more than open at the rim would hold the radius.
+        even = dataclasses.replace(here, mask=np.minimum(here.mask, 1))
         unknown = shrink(self.unknown.astype(np.float32), read.mask.shape[:2]) > 0
         scale = self.model.scales(z)
 
         def slopes(pixels: np.ndarray) -> np.ndarray:
-            _, jacobian = linearise(z, self.held, scale, self.model, here.observe(pixels))
+            _, jacobian = linearise(z, self.held, scale, self.model, even.observe(pixels))
             return np.asarray(jacobian).reshape(len(z), len(pixels), -1)[self.free]
 
         def under(slopes=None) -> Shadows:
             return refined(
-                self.model.moved(z, self.held), here, unknown, read.thought, len(read.seen.pixels),
-                self.seed, self.texture, slopes,
+                self.model.moved(z, self.held), here, unknown, read.thought, ROWS, self.seed,
+                self.texture, slopes,
             )  # fmt: skip
 
         mask, step = under(slopes)
@@ -134,7 +137,8 @@ class Turns:
     def total(self, read: Read) -> float:
         """What a solve left and what the shadows cost."""
         share = len(read.seen.pixels) / (self.picture.size[0] * self.picture.size[1])
-        return read.point.cost + price(read.mask, read.thought, share)
+        model = self.model.moved(read.point.coordinates, self.held)
+        return read.point.cost + price(model, read.mask, read.thought, share)
 
     def turn(self, read: Read, sigma: float) -> Read:
         """The shadows under the light that was found, and the light under these."""

@@ -13,7 +13,7 @@ from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
 from godfit.lasso import Along, lasso
 from godfit.models import Mitchell
 from godfit.observation import Picture
-from godfit.occluders import _sums, refined
+from godfit.occluders import FLIP, PULL, _sums, price, refined
 from godfit.solver import Point
 from godfit.turns import Read, Turns
 
@@ -73,6 +73,33 @@ def test_what_every_texel_adds_is_the_light_pass(scale):
     light = known + design @ mask[unknown] / 255
     right = model.light_pass(jnp.asarray(mask), size=SIZE, pixels=jnp.asarray(pixels))
     np.testing.assert_allclose(light, right, atol=1e-6)
+
+
+@pytest.mark.usefixtures("single_precision")
+@pytest.mark.parametrize("scale", [1, 2])
+def test_a_rim_may_be_cut_in_any_way(scale):
+    """A disc a third of a texel larger than it is taken to be: texels outside it that are as bright
+    as it are found from what they add, and what they cost is how much brighter they are."""
+    shading = Mitchell(0.06, 0.98, 0.8, 0.7, [0.45, 0.6], "dawntime", 40)
+    low = SIZE[0] // scale, SIZE[1] // scale
+    open_, radii = np.ones(low, np.float32), (0.15, 0.15 + 0.35 / low[0])
+    smaller, larger = (DiscLight(shading, [r, 1e-5, 0.06], np.zeros((1, 3))) for r in radii)
+    levels = 255 * np.asarray(larger(jnp.asarray(open_), size=SIZE))
+    levels = np.round(levels).clip(0, 255).astype(np.float32)
+    picture = Picture(levels, 0.5, np.ones(SIZE, bool), open_, None, "none")
+    found = refined(smaller, picture, np.zeros(low, bool), open_, 4000, 0).mask
+    truth, thought, lit = (
+        np.asarray(model.occlusion(jnp.asarray(mask)))
+        for model, mask in ((larger, open_), (smaller, open_), (smaller, found))
+    )
+    rim = truth != thought
+    assert rim.sum() > 10
+    assert lit.max() == 1
+    assert np.abs(lit - truth)[rim].mean() < 0.1 * np.abs(thought - truth)[rim].mean()
+    assert np.abs(lit - truth)[~rim].max() < 0.2
+    brighter = np.where(rim, 1 / thought, 1)
+    cost = rim.sum() * (FLIP * 0.94 + PULL / 2 * 0.94**2)
+    np.testing.assert_allclose(price(smaller, brighter, open_, 0.3), 0.3 * cost, rtol=1e-4)
 
 
 def lit(edge, bar):
