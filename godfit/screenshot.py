@@ -37,9 +37,9 @@ COARSE_TAPS, TAPS = 48, 96
 # Starts, those tried with objects as they seem to be, and trials refined with their shadows; of
 # these, one whose cost is so many times the least is none.
 STARTS, TRIED, FOLLOWED, WORSE = 6, 2, 2, 1.5
-# How far, in picture heights, objects may reach into glare that hides them all; pixels of each
-# trial of it, and the noise allowed for on the way, before and with shadows.
-GROWTHS, TRIAL, BEFORE, WITH = (0.02, 0.045, 0.075), 3072, (8.0, 4.0, 2.0), (1.0, 0.5)
+# How far, in picture heights, objects may reach into glare that hides them all, and the noise
+# allowed for on the way, before and with shadows.
+GROWTHS, BEFORE, WITH = (0.02, 0.045, 0.075), (8.0, 4.0, 2.0), (1.0, 0.5)
 # Pixels of the last look, in blocks of so many rows and columns: what errs together is told by
 # neighbours. Sums along rows cost less.
 LAST, ROWS, COLUMNS = 16_384, 8, 32
@@ -178,7 +178,7 @@ def look(
     begun_with = [(first, mask) for mask in masks] + [(p, small.mask) for p in others]
     say(f"{len(begun_with)} of {len(points)} starts and {len(masks)} masks, with their shadows")
     turns = Turns(model, small, reading.unknown, grain(small), free, still, seed)
-    seen = small.observe(small.informative(TRIAL, seed + 1))
+    seen = small.observe(small.informative(MORE, seed + 1))
 
     def trial(begin: tuple[Point, np.ndarray]) -> Read:
         # Where a start ends under what may be open, with its shadows.
@@ -190,8 +190,7 @@ def look(
     trials = sorted(side_by_side(trial, begun_with), key=lambda t: t.point.cost)
     trials = [t for t in trials[:FOLLOWED] if t.point.cost <= WORSE * trials[0].point.cost]
     say(f"{len(trials)} of them further")
-    more = small.observe(small.informative(MORE, seed + 1))
-    begun_again = [Read.of(t.point, t.thought, more) for t in trials]
+    begun_again = [Read.of(t.point, t.thought, seen) for t in trials]
     ended = side_by_side(lambda read: _with_shadows(turns, read, SIGMAS), begun_again)
     coarse = [_enlarged(read.mask, small.mask, picture.mask) for read in ended]
     copy = small

@@ -45,7 +45,7 @@ SOME, TURNS = 2, 6
 BESIDE, LOOKS = {RADIUS: 0.2, LIGHT_X: 0.004, LIGHT_Y: 0.004, DENSITY: 1.0, GAIN: 1.0}, 6
 # What leaves so much more before the rest has moved is given up, and how much more may be left by
 # what is as likely.
-WORSE, ALIKE = 1.25, 1.02
+WORSE, ALIKE = 1.25, 1.1
 # Widths of the disc's edge in texels: of one that is drawn without anti-aliasing, whose rim is left
 # to the shadows, and from where a soft one's is looked for.
 HARD, WIDE = 0.1, 1.0
