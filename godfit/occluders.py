@@ -4,7 +4,8 @@ Under a given light the picture is linear in what of the mask is open, so that w
 edges do not tell (glare, panels, lines, objects of the background's own colour) the shadows do: how
 open each such pixel is, between 0 and 1, by least squares over the pixels that the light pass can
 be read from, at a price for each that is not as it was thought before; see ``lasso.py``. What
-throws no shadow that is seen stays as it was thought.
+throws no shadow that is seen stays as it was thought. At the disc's rim, which the model does not
+draw as the picture's renderer did, texels may be more than open: as bright as the disc.
 
 The light may move at the same time: a disc that grows and a shadow that goes look much alike, and
 where each waits for the other they creep.
@@ -53,8 +54,9 @@ def refined(
     slopes: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> Shadows:
     """How open every texel is: ``picture.mask`` where it is known, between 0 and 1 where
-    ``unknown``, by so many pixels (``rows``) of the picture. All are (h, w), the light pass's
-    size, which may be less than the picture's. ``texture`` is the background's, in levels.
+    ``unknown``, up to what is as bright as the disc at its rim, by so many pixels (``rows``) of the
+    picture. All are (h, w), the light pass's size, which may be less than the picture's.
+    ``texture`` is the background's, in levels.
 
     ``slopes`` of row-major pixels (n,), (q, n, c), are the derivatives of their levels by what may
     move at the same time."""
@@ -98,7 +100,7 @@ def refined(
 
 def price(model: DiscLight, mask: np.ndarray, thought: np.ndarray, share: float) -> float:
     """What it costs, in log-likelihood of that ``share`` of a picture's pixels, that ``mask``
-    (h, w) is not what was ``thought`` (h, w)."""
+    (h, w) is not what was ``thought`` (h, w) under ``model``, at the rim by how bright it is."""
     _, worth = _rim(model, (mask.shape[0], mask.shape[1]))
     change = np.abs(np.minimum(mask * worth, 1) - thought * worth)
     return share * float(FLIP * change.sum() + PULL / 2 * (change**2).sum())

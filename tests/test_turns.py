@@ -198,10 +198,10 @@ def test_what_lies_beside_an_answer_is_found(known, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(unaided, "BESIDE", {})
         alone, _ = unaided._best(turns, stuck, [])
-        again, _ = unaided._best(turns, stuck, [read])
+    again, _ = unaided._best(turns, stuck, [read])
     off = np.abs(read.point.coordinates - truth)
     assert turns.total(read) < 0.5 * turns.total(alone)
     assert off[[LIGHT_X, LIGHT_Y]].max() < 0.5 / SIZE[1]
     assert (off[[i for i in known if i != GAIN]] == 0).all()
     # What was found elsewhere is as good a start.
-    assert turns.total(again) < 1.05 * turns.total(read)
+    assert turns.total(again) <= turns.total(read)
