@@ -69,8 +69,8 @@ class Reading(NamedTuple):
 
 
 class End(NamedTuple):
-    """Where the search ended: coordinates (p,); the mask (h, w), refined, and as the small copy had
-    it."""
+    """Where the search ended: coordinates (p,); the mask (h, w) of the finer copy's size, refined,
+    and as the small copy had it."""
 
     coordinates: np.ndarray
     mask: np.ndarray
@@ -78,10 +78,12 @@ class End(NamedTuple):
 
 
 class Look(NamedTuple):
-    """What the search found, best first; where the light of every start (n, 2) had come to, and how
-    much of what varies the light explains (1 all)."""
+    """What the search found, best first, and the ``copy`` of the picture that it ended on, which is
+    the picture itself where that is no larger; where the light of every start (n, 2) had come to,
+    and how much of what varies the light explains (1 all)."""
 
     ends: tuple[End, ...]
+    copy: Picture
     model: DiscLight
     lights: np.ndarray
     explained: float
@@ -192,19 +194,19 @@ def look(
     say(f"{len(trials)} of them further")
     begun_again = [Read.of(t.point, t.thought, seen) for t in trials]
     ended = side_by_side(lambda read: _with_shadows(turns, read, SIGMAS), begun_again)
-    coarse = [_enlarged(read.mask, small.mask, picture.mask) for read in ended]
-    copy = small
+    copy, coarse = small, [read.mask for read in ended]
     if small.size != picture.size:
         say("a finer copy")
         copy, model, still = picture.shrunk(-(-max(picture.size) // (2 * SIDE))), full, fixed
         turns = Turns(model, copy, reading.unknown, grain(copy), free, still, seed)
         seen = copy.observe(copy.informative(MORE, seed + 2))
+        coarse = [enlarged(mask, small.mask, copy.mask) for mask in coarse]
 
-        def finely(read: Read) -> Read:
-            mask = _enlarged(read.mask, small.mask, copy.mask)
+        def finely(begin: tuple[Read, np.ndarray]) -> Read:
+            read, mask = begin
             return _with_shadows(turns, Read.of(read.point, mask, seen), FINER)
 
-        ended = side_by_side(finely, ended)
+        ended = side_by_side(finely, zip(ended, coarse, strict=True))
     both = sorted(zip(ended, coarse, strict=True), key=lambda each: each[0].point.cost)
     best = both[0][0]
     share = explained(
@@ -213,12 +215,12 @@ def look(
     ends = [
         End(
             np.asarray(model.moved(read.point.coordinates, still).coordinates(), np.float32),
-            _enlarged(read.mask, copy.mask, picture.mask),
+            enlarged(read.mask, copy.mask, copy.mask),
             mask,
         )
         for read, mask in both
     ]
-    return Look(tuple(ends), full, np.stack([p.coordinates[4:6] for p in points]), share)
+    return Look(tuple(ends), copy, full, np.stack([p.coordinates[4:6] for p in points]), share)
 
 
 def agreed(look: Look, light: np.ndarray) -> tuple[int, int]:
@@ -308,8 +310,9 @@ def _near(p: Point, q: Point) -> bool:
     return bool(np.abs(p.coordinates[4:6] - q.coordinates[4:6]).max() < AGREE)
 
 
-def _enlarged(mask: np.ndarray, before: np.ndarray, fine: np.ndarray) -> np.ndarray:
-    """``fine`` (h, w) with what became of its small copy: as it was where that was confirmed."""
+def enlarged(mask: np.ndarray, before: np.ndarray, fine: np.ndarray) -> np.ndarray:
+    """``fine`` (h, w) with what became of its small copy, or of itself: as it was where that was
+    confirmed."""
     (h, w), (rows, columns) = fine.shape, mask.shape
     at = np.ix_(np.arange(h) * rows // h, np.arange(w) * columns // w)
     changed = np.abs(mask - before) > 0.25

@@ -7,7 +7,6 @@ settled on blocks of the whole picture under a likelihood with heavy tails.
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable, Mapping
 
 import jax.numpy as jnp
@@ -15,17 +14,16 @@ import numpy as np
 from scipy import ndimage
 
 from godfit import inputs, screenshot, search
-from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, SOFT, VEIL, DiscLight
+from godfit.beside import NEAR, best_around, hardened, of_its_size, softened
+from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, VEIL, DiscLight
 from godfit.errors import InputError
 from godfit.explained import grain, predicted
 from godfit.image import Image
 from godfit.inference import Evidence, evidence
 from godfit.models import Mitchell
 from godfit.observation import Observation, Picture
-from godfit.side_by_side import side_by_side
 from godfit.solver import Point, solve_tangent
 from godfit.turns import Read, Turns
-from godfit.valley import DOUBT
 from godfit.verdict import Found
 
 # Of what varies in a picture, the share that light must explain to be called rays. Photographs,
@@ -35,20 +33,8 @@ RAYS = 0.25
 FAINT = 0.1
 # The valley in which radius, veil and gain trade is long.
 ROUNDS = 25
-# Noise in levels that the copy's answer may be off by, less and less.
-NEAR = (4.0, 2.0, 1.0)
-# Turns of shadows and light, before and after the size of the light pass is decided.
-SOME, TURNS = 2, 6
-# How far beside an answer it is looked for at first, and how often: shares of the radius and of the
-# picture and powers of two of what the disc adds, half as far where that finds nothing, and dips of
-# density, which stay as far apart.
-BESIDE, LOOKS = {RADIUS: 0.2, LIGHT_X: 0.004, LIGHT_Y: 0.004, DENSITY: 1.0, GAIN: 1.0}, 6
-# What leaves so much more before the rest has moved is given up, and how much more may be left by
-# what is as likely.
-WORSE, ALIKE = 1.25, 1.1
-# Widths of the disc's edge in texels: of one that is drawn without anti-aliasing, whose rim is left
-# to the shadows, and from where a soft one's is looked for.
-HARD, WIDE = 0.1, 1.0
+# Turns of shadows and light on the picture, most.
+TURNS = 6
 # A disc is in sight where it is brighter than the veil by this.
 SEEN = 1.1
 # The size of a light pass that is tried beside the picture's own.
@@ -107,56 +93,34 @@ def found_in(
     given, held = inputs.parameters(model, fix, start)
     looked = screenshot.look(reading, shading, given, held_by, seed, say)
     model, picture = looked.model, reading.picture
-    best, *others = looked.ends
+    best = looked.ends[0]
     opened: list[tuple[int, list[int]]] = []
-    picture = dataclasses.replace(picture, mask=inputs.shrink_mask(best.mask, pass_scale or 1.0))
     free = np.isnan(held) & model.used
-    soft = bool(free[EDGE])
-    if soft:
-        held[EDGE], free[EDGE] = HARD / picture.mask.shape[0], False
     hidden = _hidden(model, best.coordinates, held, picture)
     if free[0] and free[3] and (hidden or not model.convention.own_pixel):
         # Only the disc itself would tell a pixel's own value, if it is shown, from its rays.
         held[0] = given.get("exposure", model.shading.defaults.get("exposure", FAINT))
         free[0] = False
         opened.append((0, [3]))
-    texture = grain(picture)
-    turns = Turns(model, picture, reading.unknown, texture, free, held, seed)
-    few = picture.observe(picture.informative(screenshot.MORE, seed + 2))
+    turns = Turns(model, picture, reading.unknown, grain(picture), free, held, seed)
     seen = picture.observe(screenshot.blocks(picture, seed))
-    say(f"{len(seen.pixels):,} pixels")
     rays = looked.explained > RAYS
+    first = screenshot.enlarged(best.mask, looked.copy.mask, picture.mask)
     rounds = ROUNDS if rays else 1
-
-    def begun(end: screenshot.End, scale: float | None) -> Read:
-        at = Point(end.coordinates, np.inf, False, 0)
-        return Read.of(at, inputs.shrink_mask(end.mask, scale or 1.0), few)
-
-    begin = begun(best, pass_scale)
     if rays:
-        smaller = []
-        if pass_scale is None:
-            # On a copy of that size shadows were those of such a pass.
-            smaller = [begun(end, HALF) for end in (best, best._replace(mask=best.coarse))]
-        say("shadows")
-        read = _of_its_size(turns, begin, smaller)
-        if read.mask.shape != picture.mask.shape:
+        turns, read, doubts = _searched(turns, looked, pass_scale, seed, say)
+        if pass_scale is None and read.mask.shape != picture.mask.shape:
             pass_scale = HALF
             notes += (COARSE,)
-            others = [end._replace(mask=end.coarse) for end in others]
-            if soft:
-                turns = _with_edge(turns, HARD / read.mask.shape[0])
-        say("lights, densities and radii beside it")
-        thought = inputs.shrink_mask(np.asarray(reading.picture.mask), pass_scale or 1.0)
-        read = read._replace(thought=thought)
-        read, doubts = _best(turns, read, [begun(end, pass_scale) for end in others])
         say(f"all of the {len(seen.pixels):,} pixels")
         read = turns.descended(read._replace(seen=seen.with_mask(read.mask)), turns.noise)
         read = turns.turned(read, TURNS)
-        if soft:
-            turns, read = _softened(turns, read)
+        if free[EDGE]:
+            turns, read = softened(turns, read)
     else:
-        begin = begin._replace(seen=seen.with_mask(begin.mask))
+        at = Point(best.coordinates, np.inf, False, 0)
+        begin = Read.of(at, inputs.shrink_mask(first, pass_scale or 1.0), seen)
+        turns = hardened(turns, begin)
         read, doubts = turns.solved(begin, NEAR[-1]), []
     point, mask, seen, free, held = read.point, read.mask, read.seen, turns.free, turns.held
     picture = dataclasses.replace(picture, mask=mask)
@@ -174,10 +138,10 @@ def found_in(
         remarks.append(HIDDEN)
     # As far from what was found as the rivals are from what the search ended with.
     scale = pass_scale or 1.0
-    away = picture.mask - inputs.shrink_mask(best.mask, scale)
+    away = picture.mask - inputs.shrink_mask(first, scale)
     rivals = (
         away + inputs.shrink_mask(rival, scale)
-        for rival in _rivals(best.mask, np.asarray(reading.picture.mask))
+        for rival in _rivals(first, np.asarray(reading.picture.mask))
     )
     shifts = [
         _shift(settled, tangent, model, seen, free, held, rival.clip(0, 1).astype(np.float32))
@@ -192,116 +156,48 @@ def found_in(
     return found, notes
 
 
-def _of_its_size(turns: Turns, own: Read, smaller: list[Read]) -> Read:
-    """Solved under a light pass of its ``own`` size or, where that is likelier, under one of the
-    ``smaller``, each with the shadows that suit it."""
+def _searched(
+    turns: Turns,
+    looked: screenshot.Look,
+    pass_scale: float | None,
+    seed: int,
+    say: Callable[[str], None],
+) -> tuple[Turns, Read, list[np.ndarray]]:
+    """The best of where the search ended and of what lies beside it, by a few of the pixels, and
+    changes (p,) that it may be off by. What lies beside it is looked for on the copy, a light pass
+    of half the size on the picture itself."""
+    picture, copy = turns.picture, looked.copy
+    small = dataclasses.replace(turns, picture=copy, texture=grain(copy))
+    few = copy.observe(copy.informative(screenshot.MORE, seed + 2))
+    whole = copy.size == picture.size
+    scale = pass_scale and min(1.0, pass_scale * picture.size[0] / copy.size[0])
 
-    own, *smaller = side_by_side(lambda read: _near(turns, read), [own, *smaller])
-    sizes = [own, *sorted(smaller, key=_cost)[:1]]
-    turned = side_by_side(lambda read: turns.turned(read, SOME), sizes)
-    likelier = turned[-1].point.cost < turned[0].point.cost - DOUBT
-    return turned[-1] if likelier else turned[0]
+    def begun(end: screenshot.End, mask: np.ndarray, scale: float | None) -> Read:
+        at = Point(end.coordinates, np.inf, False, 0)
+        return Read.of(at, inputs.shrink_mask(mask, scale or 1.0), few)
 
-
-def _near(turns: Turns, read: Read) -> Read:
-    """Solved at some noise first: where a copy's answer is a little off, rays must not pass for
-    foreign."""
-    for sigma in NEAR:
-        read = turns.solved(read, sigma)
-    return read._replace(before=read.point.coordinates)
-
-
-def _cost(read: Read) -> float:
-    return read.point.cost
-
-
-def _best(turns: Turns, read: Read, others: list[Read]) -> tuple[Read, list[np.ndarray]]:
-    """The best of what is found from an answer, from ``others`` and from beside them, and changes
-    (p,) that it may be off by: a mask that explains more takes the light with it from where it was
-    before, and what lies elsewhere may explain as much."""
-
-    def afar(other: Read) -> Read:
-        other = _near(turns, other)._replace(thought=read.thought)
-        return turns.turned(other, SOME)
-
-    def afresh(read: Read) -> Read:
-        # A mask that has settled holds the light where it is.
-        return turns.turn(read.unshadowed(), turns.noise)
-
-    work = [functools.partial(afresh, read), *(functools.partial(afar, o) for o in others)]
-    found = [read, *side_by_side(lambda find: find(), work)]
-    best = min(found, key=turns.total)
-    steps = {index: by for index, by in BESIDE.items() if turns.free[index]}
-    tried = None
-    for _ in range(LOOKS):
-        before = best
-        for index, by in steps.items():
-            if index == DENSITY and tried is best:
-                continue
-            there = side_by_side(functools.partial(_beside, turns, best, index), (-by, by))
-            found += there
-            if index == DENSITY:
-                tried = best
-            elif turns.total(best) <= min(map(turns.total, there)):
-                steps[index] = by / 2
-            best = min(best, *there, key=turns.total)
-        near = all(by < BESIDE[i] / 4 for i, by in steps.items() if i != DENSITY)
-        if best is before and near:
-            break
-    limit, z = ALIKE * turns.total(best), best.point.coordinates
-    alike = [r.point.coordinates - z for r in found if turns.total(r) < limit]
-    scale = turns.model.scales(z)
-    doubts = sorted(alike, key=lambda d: np.abs(d / scale)[turns.free].max(initial=0))[-1:]
-    return best, doubts if best.before is None else [z - best.before, *doubts]
-
-
-def _beside(turns: Turns, read: Read, index: int, by: float) -> Read:
-    """What is found where one coordinate is moved, its shadows and the rest first, and then itself:
-    single taps and texels make the way there too rough to be gone down."""
-    z = read.point.coordinates.copy()
-    if index == RADIUS:
-        # Of a larger disc that is seen from as far, and as brightly.
-        z[RADIUS] *= 1 + by
-        if turns.free[DENSITY]:
-            z[DENSITY] = 1 - (1 + by) * (1 - z[DENSITY])
-        if turns.free[GAIN]:
-            z[GAIN] /= 1 + by
-        elif turns.free[0]:
-            z[0] *= z[DENSITY] / read.point.coordinates[DENSITY] / (1 + by)
-    elif index == DENSITY:
-        z[DENSITY] *= 1 + by / turns.model.samples
-    elif index == GAIN:
-        z[GAIN] *= 2**by
-    else:
-        z[index] += by
-    free = turns.free.copy()
-    free[index] = False
-    held = dataclasses.replace(turns, free=free)
-    there = held.turn(read.at(turns.inside(z)), turns.noise)
-    if turns.total(there) > WORSE * turns.total(read):
-        return there
-    return turns.turn(there, turns.noise)
-
-
-def _with_edge(turns: Turns, width: float | None) -> Turns:
-    """With the disc's edge held at a ``width`` in picture heights, or free."""
-    free, held = turns.free.copy(), turns.held.copy()
-    free[EDGE], held[EDGE] = width is None, np.nan if width is None else width
-    return dataclasses.replace(turns, free=free, held=held)
-
-
-def _softened(turns: Turns, read: Read) -> tuple[Turns, Read]:
-    """With a soft edge of the disc where that explains more than another turn with a hard one."""
-    softer, z, rows = _with_edge(turns, None), read.point.coordinates.copy(), read.mask.shape[0]
-    z[EDGE] = WIDE / rows
-    begin = softer.solved(read.at(z), turns.noise)
-    both = [(softer, begin), (turns, read)]
-    soft, hard = side_by_side(lambda each: each[0].turn(each[1], turns.noise), both)
-    hard = min(read, hard, key=turns.total)
-    wide = soft.point.coordinates[EDGE] > SOFT / rows
-    if wide and softer.total(soft) < turns.total(hard) - DOUBT:
-        return softer, softer.turned(soft, SOME)
-    return turns, hard
+    say("shadows")
+    best, *others = looked.ends
+    # On a copy of that size shadows were those of such a pass.
+    halves = [begun(best, mask, HALF) for mask in (best.mask, best.coarse)]
+    own = begun(best, best.mask, scale)
+    small, read = of_its_size(small, own, halves if whole and pass_scale is None else [])
+    if read.mask.shape != own.mask.shape:
+        scale, others = HALF, [end._replace(mask=end.coarse) for end in others]
+    say("lights, densities and radii beside it")
+    elsewhere = [begun(end, end.mask, scale) for end in others]
+    read, doubts = best_around(small, read, elsewhere)
+    if whole:
+        return small, read, doubts
+    say("shadows of the whole picture")
+    few = picture.observe(picture.informative(screenshot.MORE, seed + 2))
+    mask = screenshot.enlarged(read.mask, read.thought, np.asarray(picture.mask))
+    own, half = (
+        Read.of(read.point, inputs.shrink_mask(mask, scale), few)
+        for scale in (pass_scale or 1.0, HALF)
+    )
+    turns, read = of_its_size(turns, own, [half] if pass_scale is None else [])
+    return turns, read, doubts
 
 
 def _rivals(mask: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import godfit
-from godfit import mesh
+from godfit import mesh, staged
 from godfit.errors import InputError
 from godfit.inputs import drawn
 from godfit.models import Mitchell
@@ -96,7 +96,8 @@ def test_edge_pixels_fall_as_the_target_has_them():
 
 
 @pytest.mark.usefixtures("single_precision")
-def test_light_and_object_are_found_again():
+def test_light_and_object_are_found_again(monkeypatch):
+    monkeypatch.setattr(staged, "PLACEMENTS", 30)
     scene = stage()
     image, truth = target(scene, drawn(scene, True))
     start = scene.replaced(
@@ -120,7 +121,7 @@ def test_light_and_object_are_found_again():
 FREE = ("light.position", "light.radius", "camera.position", "object[0].rotation")
 
 
-def staged(scene):
+def on_stage(scene):
     shading = Mitchell(0.1, 0.965, 0.85, 0.6, [[0.5, 0.5]], "dawntime", 12)
     return Staged(shading, scene, FREE)
 
@@ -128,7 +129,7 @@ def staged(scene):
 def test_derivatives_of_the_picture_by_the_scene():
     """Against central differences of a smooth function of the whole picture."""
     scene = stage(48)
-    model = staged(scene)
+    model = on_stage(scene)
     held = np.full(14, np.nan)
     y, x = np.mgrid[:48, :48] / 48
     weight = jnp.asarray(np.sin(5 * x + 2) * np.cos(4 * y + 1) + x)
@@ -154,7 +155,7 @@ def test_derivatives_of_the_picture_by_the_scene():
 
 def test_coordinates_and_parameters_go_to_and_fro():
     scene = stage()
-    model = staged(scene)
+    model = on_stage(scene)
     names = list(model.parameters)
     assert names[4:8] == [f"light.position.{a}" for a in "xyz"] + ["light.radius"]
     z = np.asarray(model.coordinates()) + np.linspace(0, 0.02, len(names))

@@ -8,7 +8,7 @@ import pytest
 from scipy import sparse
 from scipy.optimize import minimize
 
-from godfit import unaided
+from godfit import beside
 from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
 from godfit.lasso import Along, lasso
 from godfit.models import Mitchell
@@ -156,7 +156,7 @@ def begun(turns, picture, z):
     """``turns`` with the edge of a disc that is drawn without anti-aliasing, and where they are
     after a first descent from ``z``."""
     held = turns.held.copy()
-    held[EDGE] = unaided.HARD / SIZE[0]
+    held[EDGE] = beside.HARD / SIZE[0]
     turns = dataclasses.replace(turns, held=held)
     seen = picture.observe(picture.informative(4000, 0))
     read = Read.of(Point(z, np.inf, False, 0), picture.mask, seen)
@@ -168,7 +168,7 @@ def begun(turns, picture, z):
 def test_a_soft_edge_is_read_where_there_is_one(edge):
     picture, truth, turns = lit(edge, bar=False)
     turns, read = begun(turns, picture, truth)
-    softer, there = unaided._softened(turns, read)
+    softer, there = beside.softened(turns, read)
     if edge > 1e-3:
         assert there.point.coordinates[EDGE] == pytest.approx(edge, rel=0.1)
         assert softer.total(there) < 0.5 * turns.total(read)
@@ -182,7 +182,7 @@ def test_a_soft_edge_is_read_where_there_is_one(edge):
 )
 def test_what_lies_beside_an_answer_is_found(known, monkeypatch):
     """From a light that is two texels off, with shadows that suit it, and what is known stays."""
-    monkeypatch.setattr(unaided, "BESIDE", {LIGHT_X: 0.01, DENSITY: 1.0, RADIUS: 0.2})
+    monkeypatch.setattr(beside, "BESIDE", {LIGHT_X: 0.01, DENSITY: 1.0, RADIUS: 0.2})
     picture, truth, turns = lit(1e-5, bar=True)
     held, free, z = turns.held.copy(), turns.free.copy(), truth.copy()
     held[known], free[known] = truth[known], False
@@ -194,11 +194,11 @@ def test_what_lies_beside_an_answer_is_found(known, monkeypatch):
     still, stuck = begun(still, picture, z)
     stuck = still.turned(stuck, 6)
     turns = dataclasses.replace(turns, held=still.held)
-    read, _ = unaided._best(turns, stuck, [])
+    read, _ = beside.best_around(turns, stuck, [])
     with monkeypatch.context() as patch:
-        patch.setattr(unaided, "BESIDE", {})
-        alone, _ = unaided._best(turns, stuck, [])
-    again, _ = unaided._best(turns, stuck, [read])
+        patch.setattr(beside, "BESIDE", {})
+        alone, _ = beside.best_around(turns, stuck, [])
+    again, _ = beside.best_around(turns, stuck, [read])
     off = np.abs(read.point.coordinates - truth)
     assert turns.total(read) < 0.5 * turns.total(alone)
     assert off[[LIGHT_X, LIGHT_Y]].max() < 0.5 / SIZE[1]

@@ -1,0 +1,155 @@
+"""What lies beside an answer to a picture that comes with nothing: light passes of half the size,
+other lights, radii and densities, a soft edge of the disc.
+
+The cost has many dips, a texel or a tap apart, and single taps and texels make the way from one to
+the next too rough to be gone down: neighbours are tried, each with the shadows that suit it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+
+from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, SOFT
+from godfit.observation import shrink
+from godfit.side_by_side import side_by_side
+from godfit.turns import Read, Turns
+from godfit.valley import DOUBT
+
+# Noise in levels that the copy's answer may be off by, less and less.
+NEAR = (4.0, 2.0, 1.0)
+# Turns of shadows and light before what they make is judged.
+SOME = 2
+# How far beside an answer it is looked for at first, and how often: shares of the radius and of the
+# picture and powers of two of what the disc adds, half as far where that finds nothing, and dips of
+# density, which stay as far apart.
+BESIDE, LOOKS = {RADIUS: 0.2, LIGHT_X: 0.004, LIGHT_Y: 0.004, DENSITY: 1.0, GAIN: 1.0}, 6
+# What leaves so much more before the rest has moved is given up, and how much more may be left by
+# what is as likely.
+WORSE, ALIKE = 1.25, 1.1
+# Widths of the disc's edge in texels: of one that is drawn without anti-aliasing, whose rim is left
+# to the shadows, and from where a soft one's is looked for.
+HARD, WIDE = 0.1, 1.0
+
+
+def of_its_size(turns: Turns, own: Read, smaller: list[Read]) -> tuple[Turns, Read]:
+    """Solved under a light pass of its ``own`` size or, where that is likelier, under one of the
+    ``smaller``, each with the shadows that suit it, which from now on are compared with what was
+    open at first sight. The disc's edge is held as hard as it is drawn, unless it was held."""
+    hard = hardened(turns, own)
+    own, *smaller = side_by_side(lambda read: near(hard, read), [own, *smaller])
+    sizes = [own, *sorted(smaller, key=_cost)[:1]]
+    turned = side_by_side(lambda read: hard.turned(read, SOME), sizes)
+    likelier = turned[-1].point.cost < turned[0].point.cost - DOUBT
+    read = turned[-1] if likelier else turned[0]
+    thought = shrink(np.asarray(turns.picture.mask), read.mask.shape[:2])
+    return hardened(turns, read), read._replace(thought=thought)
+
+
+def hardened(turns: Turns, read: Read) -> Turns:
+    """With the disc's edge, where it is free, held as a mask of that size has it without
+    anti-aliasing."""
+    return with_edge(turns, HARD / read.mask.shape[0]) if turns.free[EDGE] else turns
+
+
+def near(turns: Turns, read: Read) -> Read:
+    """Solved at some noise first: where a copy's answer is a little off, rays must not pass for
+    foreign."""
+    for sigma in NEAR:
+        read = turns.solved(read, sigma)
+    return read._replace(before=read.point.coordinates)
+
+
+def _cost(read: Read) -> float:
+    return read.point.cost
+
+
+def best_around(turns: Turns, read: Read, others: list[Read]) -> tuple[Read, list[np.ndarray]]:
+    """The best of what is found from an answer, from ``others`` and from beside them, and changes
+    (p,) that it may be off by: a mask that explains more takes the light with it from where it was
+    before, and what lies elsewhere may explain as much."""
+
+    def afar(other: Read) -> Read:
+        other = near(turns, other)._replace(thought=read.thought)
+        return turns.turned(other, SOME)
+
+    def afresh(read: Read) -> Read:
+        # A mask that has settled holds the light where it is.
+        return turns.turn(read.unshadowed(), turns.noise)
+
+    work = [functools.partial(afresh, read), *(functools.partial(afar, o) for o in others)]
+    found = [read, *side_by_side(lambda find: find(), work)]
+    best = min(found, key=turns.total)
+    steps = {index: by for index, by in BESIDE.items() if turns.free[index]}
+    tried = None
+    for _ in range(LOOKS):
+        before = best
+        for index, by in steps.items():
+            if index == DENSITY and tried is best:
+                continue
+            there = side_by_side(functools.partial(_beside, turns, best, index), (-by, by))
+            found += there
+            if index == DENSITY:
+                tried = best
+            elif turns.total(best) <= min(map(turns.total, there)):
+                steps[index] = by / 2
+            best = min(best, *there, key=turns.total)
+        fine = all(by < BESIDE[i] / 4 for i, by in steps.items() if i != DENSITY)
+        if best is before and fine:
+            break
+    limit, z = ALIKE * turns.total(best), best.point.coordinates
+    alike = [r.point.coordinates - z for r in found if turns.total(r) < limit]
+    scale = turns.model.scales(z)
+    doubts = sorted(alike, key=lambda d: np.abs(d / scale)[turns.free].max(initial=0))[-1:]
+    return best, doubts if best.before is None else [z - best.before, *doubts]
+
+
+def _beside(turns: Turns, read: Read, index: int, by: float) -> Read:
+    """What is found where one coordinate is moved, its shadows and the rest first, and then itself:
+    single taps and texels make the way there too rough to be gone down."""
+    z = read.point.coordinates.copy()
+    if index == RADIUS:
+        # Of a larger disc that is seen from as far, and as brightly.
+        z[RADIUS] *= 1 + by
+        if turns.free[DENSITY]:
+            z[DENSITY] = 1 - (1 + by) * (1 - z[DENSITY])
+        if turns.free[GAIN]:
+            z[GAIN] /= 1 + by
+        elif turns.free[0]:
+            z[0] *= z[DENSITY] / read.point.coordinates[DENSITY] / (1 + by)
+    elif index == DENSITY:
+        z[DENSITY] *= 1 + by / turns.model.samples
+    elif index == GAIN:
+        z[GAIN] *= 2**by
+    else:
+        z[index] += by
+    free = turns.free.copy()
+    free[index] = False
+    held = dataclasses.replace(turns, free=free)
+    there = held.turn(read.at(turns.inside(z)), turns.noise)
+    if turns.total(there) > WORSE * turns.total(read):
+        return there
+    return turns.turn(there, turns.noise)
+
+
+def with_edge(turns: Turns, width: float | None) -> Turns:
+    """With the disc's edge held at a ``width`` in picture heights, or free."""
+    free, held = turns.free.copy(), turns.held.copy()
+    free[EDGE], held[EDGE] = width is None, np.nan if width is None else width
+    return dataclasses.replace(turns, free=free, held=held)
+
+
+def softened(turns: Turns, read: Read) -> tuple[Turns, Read]:
+    """With a soft edge of the disc where that explains more than another turn with a hard one."""
+    softer, z, rows = with_edge(turns, None), read.point.coordinates.copy(), read.mask.shape[0]
+    z[EDGE] = WIDE / rows
+    begin = softer.solved(read.at(z), turns.noise)
+    both = [(softer, begin), (turns, read)]
+    soft, hard = side_by_side(lambda each: each[0].turn(each[1], turns.noise), both)
+    hard = min(read, hard, key=turns.total)
+    wide = soft.point.coordinates[EDGE] > SOFT / rows
+    if wide and softer.total(soft) < turns.total(hard) - DOUBT:
+        return softer, softer.turned(soft, SOME)
+    return turns, hard
