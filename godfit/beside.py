@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,16 +24,98 @@ from godfit.valley import DOUBT
 NEAR = (4.0, 2.0, 1.0)
 # Turns of shadows and light before what they make is judged.
 SOME = 2
-# How far beside an answer it is looked for at first, and how often: shares of the radius and of the
-# picture and powers of two of what the disc adds, half as far where that finds nothing, and dips of
-# density, which stay as far apart.
-BESIDE, LOOKS = {RADIUS: 0.2, LIGHT_X: 0.004, LIGHT_Y: 0.004, DENSITY: 1.0, GAIN: 1.0}, 6
+# How far beside an answer it is looked for at first: shares of the radius and of the picture and
+# powers of two of what the disc adds, half as far where that finds nothing, and dips of density,
+# which stay as far apart.
+BESIDE = {RADIUS: 0.2, LIGHT_X: 0.004, LIGHT_Y: 0.004, DENSITY: 1.0, GAIN: 1.0}
+# Answers that are left each time that it was looked around them.
+LEFT = (2, 1, 1, 1, 1, 1)
 # What leaves so much more before the rest has moved is given up, and how much more may be left by
 # what is as likely.
 WORSE, ALIKE = 1.25, 1.1
 # Widths of the disc's edge in texels: of one that is drawn without anti-aliasing, whose rim is left
 # to the shadows, and from where a soft one's is looked for.
 HARD, WIDE = 0.1, 1.0
+
+
+class Place(NamedTuple):
+    """The best answer ``read`` of all that was ``found`` by ``turns`` around a beginning, how far
+    beside it, by coordinate, is looked next, and the answer whose next dips of density are known.
+    """
+
+    turns: Turns
+    read: Read
+    found: tuple[Read, ...]
+    steps: dict[int, float]
+    dips_of: Read | None = None
+
+    @property
+    def left(self) -> float:
+        """What is left and what its shadows cost, by the picture's area and not by how many texels
+        a light pass has."""
+        cost, (h, w) = self.read.point.cost, self.turns.picture.size
+        return cost + (self.turns.total(self.read) - cost) * h * w / self.read.mask.size
+
+    @property
+    def finished(self) -> bool:
+        """Nothing was found however near it was looked."""
+        near = all(by < BESIDE[i] / 4 for i, by in self.steps.items() if i != DENSITY)
+        return near and (DENSITY not in self.steps or self.dips_of is self.read)
+
+
+def best_around(turns: Turns, begun: list[list[Read]]) -> tuple[Turns, Read, list[np.ndarray]]:
+    """The best of what lies around these beginnings, each of which may be of light passes of
+    several sizes, and changes (p,) that it may be off by: a mask that explains more takes the light
+    with it from where it was before, and what lies elsewhere may explain as much. By the turns that
+    suit its size; see ``of_its_size``."""
+
+    def solved(begin: Read) -> Place:
+        hard = hardened(turns, begin)
+        read = _first_sight(turns, hard.turned(near(hard, begin), SOME))
+        steps = {index: by for index, by in BESIDE.items() if turns.free[index]}
+        return Place(hard, read, (read,), steps)
+
+    def afresh(place: Place) -> Place:
+        # A mask that has settled holds the light where it is.
+        again = place.turns.turn(place.read.unshadowed(), place.turns.noise)
+        best = min(place.read, again, key=place.turns.total)
+        return place._replace(read=best, found=(*place.found, again))
+
+    sizes = iter(side_by_side(solved, itertools.chain.from_iterable(begun)))
+    likely = [min((next(sizes) for _ in reads), key=_left) for reads in begun]
+    places = side_by_side(afresh, likely)
+    for left in LEFT:
+        places = sorted(map(_looked_around, places), key=_left)
+        places = places[:left]
+        if all(place.finished for place in places):
+            break
+    turns, read, found, *_ = places[0]
+    limit, z = ALIKE * turns.total(read), read.point.coordinates
+    alike = [r.point.coordinates - z for r in found if turns.total(r) < limit]
+    scale = turns.model.scales(z)
+    doubts = sorted(alike, key=lambda d: np.abs(d / scale)[turns.free].max(initial=0))[-1:]
+    return turns, read, doubts if read.before is None else [z - read.before, *doubts]
+
+
+def _left(place: Place) -> float:
+    return place.left
+
+
+def _looked_around(place: Place) -> Place:
+    """Once to either side along every coordinate, from the best so far."""
+    turns, best, found, steps, dips_of = place
+    steps = steps.copy()
+    for index, by in steps.items():
+        if index == DENSITY and dips_of is best:
+            continue
+        there = side_by_side(functools.partial(_beside, turns, best, index), (-by, by))
+        found += tuple(there)
+        if index == DENSITY:
+            dips_of = best
+        elif turns.total(best) <= min(map(turns.total, there)):
+            steps[index] = by / 2
+        best = min(best, *there, key=turns.total)
+    return Place(turns, best, found, steps, dips_of)
 
 
 def of_its_size(turns: Turns, own: Read, smaller: list[Read]) -> tuple[Turns, Read]:
@@ -44,8 +128,13 @@ def of_its_size(turns: Turns, own: Read, smaller: list[Read]) -> tuple[Turns, Re
     turned = side_by_side(lambda read: hard.turned(read, SOME), sizes)
     likelier = turned[-1].point.cost < turned[0].point.cost - DOUBT
     read = turned[-1] if likelier else turned[0]
+    return hardened(turns, read), _first_sight(turns, read)
+
+
+def _first_sight(turns: Turns, read: Read) -> Read:
+    """From now on its shadows are compared with what was open at first sight."""
     thought = shrink(np.asarray(turns.picture.mask), read.mask.shape[:2])
-    return hardened(turns, read), read._replace(thought=thought)
+    return read._replace(thought=thought)
 
 
 def hardened(turns: Turns, read: Read) -> Turns:
@@ -64,46 +153,6 @@ def near(turns: Turns, read: Read) -> Read:
 
 def _cost(read: Read) -> float:
     return read.point.cost
-
-
-def best_around(turns: Turns, read: Read, others: list[Read]) -> tuple[Read, list[np.ndarray]]:
-    """The best of what is found from an answer, from ``others`` and from beside them, and changes
-    (p,) that it may be off by: a mask that explains more takes the light with it from where it was
-    before, and what lies elsewhere may explain as much."""
-
-    def afar(other: Read) -> Read:
-        other = near(turns, other)._replace(thought=read.thought)
-        return turns.turned(other, SOME)
-
-    def afresh(read: Read) -> Read:
-        # A mask that has settled holds the light where it is.
-        return turns.turn(read.unshadowed(), turns.noise)
-
-    work = [functools.partial(afresh, read), *(functools.partial(afar, o) for o in others)]
-    found = [read, *side_by_side(lambda find: find(), work)]
-    best = min(found, key=turns.total)
-    steps = {index: by for index, by in BESIDE.items() if turns.free[index]}
-    tried = None
-    for _ in range(LOOKS):
-        before = best
-        for index, by in steps.items():
-            if index == DENSITY and tried is best:
-                continue
-            there = side_by_side(functools.partial(_beside, turns, best, index), (-by, by))
-            found += there
-            if index == DENSITY:
-                tried = best
-            elif turns.total(best) <= min(map(turns.total, there)):
-                steps[index] = by / 2
-            best = min(best, *there, key=turns.total)
-        fine = all(by < BESIDE[i] / 4 for i, by in steps.items() if i != DENSITY)
-        if best is before and fine:
-            break
-    limit, z = ALIKE * turns.total(best), best.point.coordinates
-    alike = [r.point.coordinates - z for r in found if turns.total(r) < limit]
-    scale = turns.model.scales(z)
-    doubts = sorted(alike, key=lambda d: np.abs(d / scale)[turns.free].max(initial=0))[-1:]
-    return best, doubts if best.before is None else [z - best.before, *doubts]
 
 
 def _beside(turns: Turns, read: Read, index: int, by: float) -> Read:

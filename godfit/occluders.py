@@ -83,7 +83,7 @@ def refined(
     counts = worth.ravel()[columns]
     design.data /= np.repeat(counts, np.diff(design.indptr))
     thought = prior.ravel()[columns].astype(np.float32) * counts
-    share = thought
+    share = picture.mask.ravel()[columns].astype(np.float32) * counts
     weight = np.ones_like(goal)
     noise = max(1.0, texture)
     each = noise**2 * len(pixels) / (picture.size[0] * picture.size[1])

@@ -148,9 +148,9 @@ class Turns:
         """Turn by turn, for as long as it helps."""
         for _ in range(most):
             there = self.turn(read, self.noise)
-            gained = 1 - self.total(there) / self.total(read)
-            if gained > 0:
+            before, after = self.total(read), self.total(there)
+            if after < before:
                 read = there
-            if not gained > WORTH:
+            if not after < (1 - WORTH) * before:
                 break
         return read

@@ -172,21 +172,17 @@ def _searched(
     whole = copy.size == picture.size
     scale = pass_scale and min(1.0, pass_scale * picture.size[0] / copy.size[0])
 
-    def begun(end: screenshot.End, mask: np.ndarray, scale: float | None) -> Read:
+    def begin(end: screenshot.End, mask: np.ndarray, scale: float | None) -> Read:
         at = Point(end.coordinates, np.inf, False, 0)
         return Read.of(at, inputs.shrink_mask(mask, scale or 1.0), few)
 
-    say("shadows")
-    best, *others = looked.ends
-    # On a copy of that size shadows were those of such a pass.
-    halves = [begun(best, mask, HALF) for mask in (best.mask, best.coarse)]
-    own = begun(best, best.mask, scale)
-    small, read = of_its_size(small, own, halves if whole and pass_scale is None else [])
-    if read.mask.shape != own.mask.shape:
-        scale, others = HALF, [end._replace(mask=end.coarse) for end in others]
-    say("lights, densities and radii beside it")
-    elsewhere = [begun(end, end.mask, scale) for end in others]
-    read, doubts = best_around(small, read, elsewhere)
+    say("lights, densities and radii beside these")
+    begun = [[begin(end, end.mask, scale)] for end in looked.ends]
+    if whole and pass_scale is None:
+        for reads, end in zip(begun, looked.ends, strict=True):
+            # On a copy of that size shadows were those of such a pass.
+            reads += [begin(end, mask, HALF) for mask in (end.mask, end.coarse)]
+    small, read, doubts = best_around(small, begun)
     if whole:
         return small, read, doubts
     say("shadows of the whole picture")

@@ -194,11 +194,11 @@ def test_what_lies_beside_an_answer_is_found(known, monkeypatch):
     still, stuck = begun(still, picture, z)
     stuck = still.turned(stuck, 6)
     turns = dataclasses.replace(turns, held=still.held)
-    read, _ = beside.best_around(turns, stuck, [])
+    _, read, _ = beside.best_around(turns, [[stuck]])
     with monkeypatch.context() as patch:
         patch.setattr(beside, "BESIDE", {})
-        alone, _ = beside.best_around(turns, stuck, [])
-    again, _ = beside.best_around(turns, stuck, [read])
+        _, alone, _ = beside.best_around(turns, [[stuck]])
+    _, again, _ = beside.best_around(turns, [[stuck], [read]])
     off = np.abs(read.point.coordinates - truth)
     assert turns.total(read) < 0.5 * turns.total(alone)
     assert off[[LIGHT_X, LIGHT_Y]].max() < 0.5 / SIZE[1]
