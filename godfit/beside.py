@@ -71,7 +71,7 @@ def best_around(turns: Turns, begun: list[list[Read]]) -> tuple[Turns, Read, lis
 
     def solved(begin: Read) -> Place:
         hard = hardened(turns, begin)
-        read = _first_sight(turns, hard.turned(near(hard, begin), SOME))
+        read = _first_sight(turns, hard.turned(_near(hard, begin), SOME))
         steps = {index: by for index, by in BESIDE.items() if turns.free[index]}
         return Place(hard, read, (read,), steps)
 
@@ -123,7 +123,7 @@ def of_its_size(turns: Turns, own: Read, smaller: list[Read]) -> tuple[Turns, Re
     ``smaller``, each with the shadows that suit it, which from now on are compared with what was
     open at first sight. The disc's edge is held as hard as it is drawn, unless it was held."""
     hard = hardened(turns, own)
-    own, *smaller = side_by_side(lambda read: near(hard, read), [own, *smaller])
+    own, *smaller = side_by_side(lambda read: _near(hard, read), [own, *smaller])
     sizes = [own, *sorted(smaller, key=_cost)[:1]]
     turned = side_by_side(lambda read: hard.turned(read, SOME), sizes)
     likelier = turned[-1].point.cost < turned[0].point.cost - DOUBT
@@ -143,7 +143,7 @@ def hardened(turns: Turns, read: Read) -> Turns:
     return with_edge(turns, HARD / read.mask.shape[0]) if turns.free[EDGE] else turns
 
 
-def near(turns: Turns, read: Read) -> Read:
+def _near(turns: Turns, read: Read) -> Read:
     """Solved at some noise first: where a copy's answer is a little off, rays must not pass for
     foreign."""
     for sigma in NEAR:

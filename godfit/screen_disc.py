@@ -26,8 +26,10 @@ SIZE, FINE = 64, 128
 POINTS = 768
 KAPPAS = (0.0, 0.7, 1.5, 3.0, 5.0, 8.0, 14.0)
 RADII = (0.02, 0.04, 0.07, 0.1, 0.14, 0.19)
-# Lights are looked for this far outside the picture.
+# Lights are looked for this far outside the picture, and so far, in picture heights, about what is
+# brightest: an object may hide most of the disc.
 MARGIN = 0.3
+ABOUT = np.linspace(-0.12, 0.12, 7)
 VOTES = 1500
 
 
@@ -35,7 +37,10 @@ def places(picture: Picture, seed: int) -> np.ndarray:
     """(lights, 2) candidates in texture coordinates."""
     inside = np.linspace(-MARGIN / 2, 1 + MARGIN / 2, 13)
     lattice = np.array(list(itertools.product(inside, inside)))
-    return np.concatenate([_voted(picture, seed), _bright(picture), lattice])
+    h, w = picture.size
+    about = np.array(list(itertools.product(ABOUT * h / w, ABOUT)))
+    bright = (_bright(picture)[:, None] + about[None]).reshape(-1, 2)
+    return np.concatenate([_voted(picture, seed), bright, lattice])
 
 
 def _voted(picture: Picture, seed: int, keep: int = 12) -> np.ndarray:
