@@ -29,7 +29,7 @@ RADII = (0.02, 0.04, 0.07, 0.1, 0.14, 0.19)
 # Lights are looked for this far outside the picture, and so far, in picture heights, about what is
 # brightest: an object may hide most of the disc.
 MARGIN = 0.3
-ABOUT = np.linspace(-0.12, 0.12, 7)
+ABOUT = np.linspace(-0.2, 0.2, 11)
 VOTES = 1500
 
 
@@ -39,7 +39,8 @@ def places(picture: Picture, seed: int) -> np.ndarray:
     lattice = np.array(list(itertools.product(inside, inside)))
     h, w = picture.size
     about = np.array(list(itertools.product(ABOUT * h / w, ABOUT)))
-    bright = (_bright(picture)[:, None] + about[None]).reshape(-1, 2)
+    bright = np.unique(_bright(picture).round(2), axis=0)
+    bright = (bright[:, None] + about[None]).reshape(-1, 2)
     return np.concatenate([_voted(picture, seed), bright, lattice])
 
 

@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import norm
 
 import godfit
-from godfit import beside, screenshot, unaided
+from godfit import beside, screen_disc, screenshot, unaided
 from godfit.disc import FIRST, GAIN, VEIL, DiscLight
 from godfit.explained import explained, grain
 from godfit.inputs import image, shrink_mask
@@ -238,6 +238,20 @@ def test_an_occluder_that_is_given_stands_in_the_way(screen):
     assert (reading.picture.mask[drawn] == 0).all()
     assert not reading.picture.valid[drawn].any()
     assert not reading.unknown[drawn].any()
+
+
+def test_a_light_most_of_which_is_hidden_is_looked_for():
+    """What is left of its disc lies beside it."""
+    screen = made(9011, "flat")
+    valid = np.ones(screen.image.shape[:2], bool)
+    for x, y, w, h in screen.panels:
+        valid[y : y + h, x : x + w] = False
+    picture = screenshot.read(image(screen.image, "none"), valid, None).picture
+    off = screen_disc.places(picture.shrunk(2), 0) - [
+        screen.truth["light_x"],
+        screen.truth["light_y"],
+    ]
+    assert np.hypot(*off.T).min() < 0.03
 
 
 def test_light_explains_rays_and_nothing_else(screen):
