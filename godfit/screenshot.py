@@ -195,9 +195,11 @@ def look(
     say(f"{len(trials)} of them further")
     begun_again = [Read.of(t.point, t.thought, seen) for t in trials]
     ended = side_by_side(lambda read: _with_shadows(turns, read, SIGMAS), begun_again)
-    say("what lies beside these")
-    _, around, _ = best_around(turns, [[read] for read in ended])
-    ended.append(around)
+    if max(picture.size) <= 2 * SIDE:
+        # One more beginning: what is larger tells more, and each look at it takes longer.
+        say("what lies beside these")
+        _, around, _ = best_around(turns, [[read] for read in ended])
+        ended.append(around)
     copy, coarse = small, [read.mask for read in ended]
     if small.size != picture.size:
         say("a finer copy")
