@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from godfit.clear_rays import seen_clearly
 from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, SOFT
 from godfit.observation import shrink
 from godfit.side_by_side import side_by_side
@@ -33,6 +34,8 @@ LEFT = (2, 1, 1, 1, 1, 1)
 # What leaves so much more before the rest has moved is given up, and how much more may be left by
 # what is as likely.
 WORSE, ALIKE = 1.25, 1.1
+# What leaves so many times the least is not looked around.
+FAR_WORSE = 2.0
 # Widths of the disc's edge in texels: of one that is drawn without anti-aliasing, whose rim is left
 # to the shadows, and from where a soft one's is looked for.
 HARD, WIDE = 0.1, 1.0
@@ -63,17 +66,13 @@ class Place(NamedTuple):
         return near and (DENSITY not in self.steps or self.dips_of is self.read)
 
 
-def best_around(turns: Turns, begun: list[list[Read]]) -> tuple[Turns, Read, list[np.ndarray]]:
+def best_around(
+    turns: Turns, begun: list[list[Read]], whole: bool
+) -> tuple[Turns, Read, list[np.ndarray]]:
     """The best of what lies around these beginnings, each of which may be of light passes of
     several sizes, and changes (p,) that it may be off by: a mask that explains more takes the light
     with it from where it was before, and what lies elsewhere may explain as much. By the turns that
-    suit its size; see ``of_its_size``."""
-
-    def solved(begin: Read) -> Place:
-        hard = hardened(turns, begin)
-        read = _first_sight(turns, hard.turned(_near(hard, begin), SOME))
-        steps = {index: by for index, by in BESIDE.items() if turns.free[index]}
-        return Place(hard, read, (read,), steps)
+    suit its size; see ``solved``. The picture is a ``whole`` one or a smaller copy."""
 
     def afresh(place: Place) -> Place:
         # A mask that has settled holds the light where it is.
@@ -81,10 +80,14 @@ def best_around(turns: Turns, begun: list[list[Read]]) -> tuple[Turns, Read, lis
         best = min(place.read, again, key=place.turns.total)
         return place._replace(read=best, found=(*place.found, again))
 
-    sizes = iter(side_by_side(solved, itertools.chain.from_iterable(begun)))
+    sizes = iter(side_by_side(functools.partial(solved, turns), itertools.chain(*begun)))
     likely = [min((next(sizes) for _ in reads), key=_left) for reads in begun]
     places = side_by_side(afresh, likely)
+    apart = {(read.mask.shape, place): read for place, reads in enumerate(begun) for read in reads}
+    places += _cleared(turns, list(apart.values()), whole)
     for left in LEFT:
+        least = min(map(_left, places))
+        places = [place for place in places if place.left < FAR_WORSE * least]
         places = sorted(map(_looked_around, places), key=_left)
         places = places[:left]
         if all(place.finished for place in places):
@@ -95,6 +98,46 @@ def best_around(turns: Turns, begun: list[list[Read]]) -> tuple[Turns, Read, lis
     scale = turns.model.scales(z)
     doubts = sorted(alike, key=lambda d: np.abs(d / scale)[turns.free].max(initial=0))[-1:]
     return turns, read, doubts if read.before is None else [z - read.before, *doubts]
+
+
+def solved(turns: Turns, begin: Read) -> Place:
+    """A beginning under the disc's edge as hard as it is drawn, unless that was held, with the
+    shadows that suit it, which from now on are compared with what was open at first sight."""
+    hard = hardened(turns, begin)
+    read = _first_sight(turns, hard.turned(_near(hard, begin), SOME))
+    return _place(hard, read, 1.0)
+
+
+def _place(turns: Turns, read: Read, share: float) -> Place:
+    steps = {index: share * by for index, by in BESIDE.items() if turns.free[index]}
+    if DENSITY in steps:
+        steps[DENSITY] = BESIDE[DENSITY]
+    return Place(turns, read, (read,), steps)
+
+
+def _cleared(turns: Turns, reads: list[Read], whole: bool) -> list[Place]:
+    """What clear rays show about each of these."""
+    places = []
+    for read in reads:
+        hard = hardened(turns, read)
+        # A light pass as large as the picture is drawn without anti-aliasing.
+        own = read.mask.shape[:2] == turns.picture.size
+        for cut in ((1,) if own else (1, 2)) if whole else (2,):
+            z = seen_clearly(hard, read, cut)
+            if z is None:
+                continue
+            thought = shrink(np.asarray(turns.picture.mask), read.mask.shape[:2])
+            begin = Read.of(read.point, thought, read.seen).at(z)
+            # What it shows is held until the rest suits it.
+            free = hard.free.copy()
+            free[[DENSITY, LIGHT_X, LIGHT_Y, RADIUS]] = False
+            held, found = dataclasses.replace(hard, free=free), begin
+            found = held.solved(found, NEAR[0])
+            for sigma in NEAR[1:]:
+                found = held.turn(found, sigma)
+            found = hard.turned(found, SOME)
+            places.append(_place(hard, found, 0.25))
+    return places
 
 
 def _left(place: Place) -> float:
@@ -118,19 +161,6 @@ def _looked_around(place: Place) -> Place:
     return Place(turns, best, found, steps, dips_of)
 
 
-def of_its_size(turns: Turns, own: Read, smaller: list[Read]) -> tuple[Turns, Read]:
-    """Solved under a light pass of its ``own`` size or, where that is likelier, under one of the
-    ``smaller``, each with the shadows that suit it, which from now on are compared with what was
-    open at first sight. The disc's edge is held as hard as it is drawn, unless it was held."""
-    hard = hardened(turns, own)
-    own, *smaller = side_by_side(lambda read: _near(hard, read), [own, *smaller])
-    sizes = [own, *sorted(smaller, key=_cost)[:1]]
-    turned = side_by_side(lambda read: hard.turned(read, SOME), sizes)
-    likelier = turned[-1].point.cost < turned[0].point.cost - DOUBT
-    read = turned[-1] if likelier else turned[0]
-    return hardened(turns, read), _first_sight(turns, read)
-
-
 def _first_sight(turns: Turns, read: Read) -> Read:
     """From now on its shadows are compared with what was open at first sight."""
     thought = shrink(np.asarray(turns.picture.mask), read.mask.shape[:2])
@@ -149,10 +179,6 @@ def _near(turns: Turns, read: Read) -> Read:
     for sigma in NEAR:
         read = turns.solved(read, sigma)
     return read._replace(before=read.point.coordinates)
-
-
-def _cost(read: Read) -> float:
-    return read.point.cost
 
 
 def _beside(turns: Turns, read: Read, index: int, by: float) -> Read:

@@ -29,8 +29,8 @@ SHAPE = (
     Parameter("veil", "c", "1", 0.0, 1.0, "what the mask is cleared to; the light is 1"),
 )
 FIRST = len(SCATTERING) + 2 + len(SHAPE)
-# Coordinates: density, what the disc adds, light, radius, edge, what the veil adds.
-DENSITY, GAIN, LIGHT_X, LIGHT_Y, RADIUS, EDGE, VEIL = 2, 3, 4, 5, 6, 7, 8
+# Coordinates: attenuation, density, what the disc adds, light, radius, edge, what the veil adds.
+KAPPA, DENSITY, GAIN, LIGHT_X, LIGHT_Y, RADIUS, EDGE, VEIL = range(1, 9)
 CHANNELS = "rgb"
 # As dark as a veil that is seen may be.
 DARK = 0.01

@@ -69,14 +69,9 @@ def refined(
         return Shadows(picture.mask, np.zeros(0))
     rng = np.random.default_rng(seed)
     pixels = np.sort(rng.permutation(usable)[: min(rows, _affordable(model, picture.size, (h, w)))])
-    k, c = model.background.shape
-    back = np.array(terms(jnp.asarray(pixels), picture.size, k) @ model.background)
-    back *= model.convention.background_gain
-    over = np.maximum(1 - back, 0.05) if model.convention.blend == "screen" else np.ones_like(back)
-    light = (picture.levels.reshape(-1, c)[pixels] / LEVELS - back) / over
-    goal = light.mean(1).astype(np.float64)
+    light, over = light_read(model, picture, pixels)
     known, design = _sums(model, pixels, picture, unknown)
-    goal = ((goal - known) * LEVELS).astype(np.float32)
+    goal = (light - known * LEVELS).astype(np.float32)
     moves = np.zeros((len(pixels), 0), np.float32)
     if slopes is not None:
         moves = (slopes(pixels).astype(np.float64) / over).mean(-1).T.astype(np.float32)
@@ -96,6 +91,28 @@ def refined(
     out = picture.mask.reshape(-1).copy()
     out[columns] = share / counts
     return Shadows(out.reshape(h, w).astype(np.float32), step)
+
+
+def light_read(
+    model: DiscLight, picture: Picture, pixels: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What the light pass is, in levels (n,), at row-major ``pixels`` (n,) of ``picture`` over the
+    model's background, and by how much less (n, c) the picture is changed by it."""
+    k, c = model.background.shape
+    back = np.array(terms(jnp.asarray(pixels), picture.size, k) @ model.background)
+    back *= model.convention.background_gain
+    over = np.maximum(1 - back, 0.05) if model.convention.blend == "screen" else np.ones_like(back)
+    light = (picture.levels.reshape(-1, c)[pixels] / LEVELS - back) / over
+    return LEVELS * light.mean(1).astype(np.float64), over
+
+
+def texels_of(
+    pixels: np.ndarray, size: tuple[int, int], low: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Columns and rows (n,), of a light pass of the size ``low``, of row-major ``pixels`` (n,)."""
+    x = (pixels % size[1] + 0.5) * low[1] / size[1] - 0.5
+    y = (pixels // size[1] + 0.5) * low[0] / size[0] - 0.5
+    return x, y
 
 
 def price(model: DiscLight, mask: np.ndarray, thought: np.ndarray, share: float) -> float:
@@ -137,9 +154,7 @@ def _sums(
     low = (picture.mask.shape[0], picture.mask.shape[1])
     texels, mixed = pixels, None
     if picture.size != low:
-        x = (pixels % picture.size[1] + 0.5) * low[1] / picture.size[1] - 0.5
-        y = (pixels // picture.size[1] + 0.5) * low[0] / picture.size[0] - 0.5
-        read, share = _bilinear(x, y, low)
+        read, share = _bilinear(*texels_of(pixels, picture.size, low), low)
         texels, column = np.unique(read, return_inverse=True)
         starts = np.arange(len(pixels) + 1) * 4
         shape = (len(pixels), len(texels))

@@ -17,7 +17,6 @@ import numpy as np
 from scipy import ndimage
 
 from godfit import screen_disc
-from godfit.beside import best_around
 from godfit.disc import EDGE, FIRST, TERMS, DiscLight, terms
 from godfit.explained import explained, grain
 from godfit.image import Image
@@ -195,11 +194,6 @@ def look(
     say(f"{len(trials)} of them further")
     begun_again = [Read.of(t.point, t.thought, seen) for t in trials]
     ended = side_by_side(lambda read: _with_shadows(turns, read, SIGMAS), begun_again)
-    if max(picture.size) <= 2 * SIDE:
-        # One more beginning: what is larger tells more, and each look at it takes longer.
-        say("what lies beside these")
-        _, around, _ = best_around(turns, [[read] for read in ended])
-        ended.append(around)
     copy, coarse = small, [read.mask for read in ended]
     if small.size != picture.size:
         say("a finer copy")

@@ -7,6 +7,7 @@ settled on blocks of the whole picture under a likelihood with heavy tails.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping
 
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ import numpy as np
 from scipy import ndimage
 
 from godfit import inputs, screenshot, search
-from godfit.beside import NEAR, best_around, hardened, of_its_size, softened
+from godfit.beside import NEAR, best_around, hardened, softened, solved
 from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, VEIL, DiscLight
 from godfit.errors import InputError
 from godfit.explained import grain, predicted
@@ -22,6 +23,7 @@ from godfit.image import Image
 from godfit.inference import Evidence, evidence
 from godfit.models import Mitchell
 from godfit.observation import Observation, Picture
+from godfit.side_by_side import side_by_side
 from godfit.solver import Point, solve_tangent
 from godfit.turns import Read, Turns
 from godfit.verdict import Found
@@ -182,7 +184,7 @@ def _searched(
         for reads, end in zip(begun, looked.ends, strict=True):
             # On a copy of that size shadows were those of such a pass.
             reads += [begin(end, mask, HALF) for mask in (end.mask, end.coarse)]
-    small, read, doubts = best_around(small, begun)
+    small, read, doubts = best_around(small, begun, whole)
     if whole:
         return small, read, doubts
     say("shadows of the whole picture")
@@ -192,8 +194,9 @@ def _searched(
         Read.of(read.point, inputs.shrink_mask(mask, scale), few)
         for scale in (pass_scale or 1.0, HALF)
     )
-    turns, read = of_its_size(turns, own, [half] if pass_scale is None else [])
-    return turns, read, doubts
+    sizes = [own, half] if pass_scale is None else [own]
+    place = min(side_by_side(functools.partial(solved, turns), sizes), key=lambda p: p.left)
+    return place.turns, place.read, doubts
 
 
 def _rivals(mask: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -48,6 +48,7 @@ COMPILED = (
     "godfit.shadows",
     "godfit.lasso",
     "godfit.texel_sums",
+    "godfit.disc_sums",
     "godfit.flatland.compiled_walk",
     "godfit.flatland.compiled",
     "godfit.flatland.compiled_derivatives",

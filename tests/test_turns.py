@@ -181,7 +181,9 @@ def test_a_soft_edge_is_read_where_there_is_one(edge):
     "known", [[], [DENSITY], [DENSITY, RADIUS], [GAIN]], ids=["nothing", "density", "both", "gain"]
 )
 def test_what_lies_beside_an_answer_is_found(known, monkeypatch):
-    """From a light that is two texels off, with shadows that suit it, and what is known stays."""
+    """From a light that is two texels off, with shadows that suit it, and what is known stays.
+    Without clear rays, which would tell at once."""
+    monkeypatch.setattr(beside, "seen_clearly", lambda *_: None)
     monkeypatch.setattr(beside, "BESIDE", {LIGHT_X: 0.01, DENSITY: 1.0, RADIUS: 0.2})
     picture, truth, turns = lit(1e-5, bar=True)
     held, free, z = turns.held.copy(), turns.free.copy(), truth.copy()
@@ -194,11 +196,11 @@ def test_what_lies_beside_an_answer_is_found(known, monkeypatch):
     still, stuck = begun(still, picture, z)
     stuck = still.turned(stuck, 6)
     turns = dataclasses.replace(turns, held=still.held)
-    _, read, _ = beside.best_around(turns, [[stuck]])
+    _, read, _ = beside.best_around(turns, [[stuck]], whole=False)
     with monkeypatch.context() as patch:
         patch.setattr(beside, "BESIDE", {})
-        _, alone, _ = beside.best_around(turns, [[stuck]])
-    _, again, _ = beside.best_around(turns, [[stuck], [read]])
+        _, alone, _ = beside.best_around(turns, [[stuck]], whole=False)
+    _, again, _ = beside.best_around(turns, [[stuck], [read]], whole=False)
     off = np.abs(read.point.coordinates - truth)
     assert turns.total(read) < 0.5 * turns.total(alone)
     assert off[[LIGHT_X, LIGHT_Y]].max() < 0.5 / SIZE[1]

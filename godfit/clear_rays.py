@@ -1,0 +1,249 @@
+"""Rays that meet nothing on their way show the disc alone.
+
+Where any ray may meet an object, shadows explain almost any light: place, radius and density trade
+until single texels of the disc's rim tell them apart. Along clear rays no object has a say: there
+the right disc, cut into texels as the renderer cut it, leaves several times less than any other,
+but only within an eighth of a texel, half a tap of the density and a hundredth of the radius. So
+sharp a dip cannot be gone down, and all of them are tried. Texels join in the order of how far they
+are from the light, so that one pass over the taps gives the sums for every radius; gain and
+attenuation are solved for (variable projection: Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973),
+413).
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from scipy import ndimage
+from scipy.special import factorial
+
+from godfit.disc import DENSITY, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, VEIL, DiscLight, terms
+from godfit.disc_sums import disc_sums, is_clear
+from godfit.observation import LEVELS, shrink
+from godfit.occluders import light_read, texels_of
+from godfit.side_by_side import side_by_side
+from godfit.turns import Read, Turns
+
+# Clear rays that are asked at first and later, least, and pixels among which they are looked for.
+FEW, MORE, LEAST, AMONG = 300, 1000, 150, 8192
+# Texels from where one was found to which lights are tried, and by which lights, radii and, at a
+# pass's height from the light, ends of rays are apart.
+FAR, APART, THIN, DENSE = 1.25, 0.25, 0.125, 1.5
+# Discs by how much smaller and larger, if seen from as far, how far densities are off for one that
+# is as large, and by what factor radii are.
+SMALLER, LARGER, NEARBY, OFF = 0.5, 1.3, 0.04, 1.08
+# Of the best, what is looked at more closely, and how often, twice as closely each time.
+CLOSER, TIMES = 12, 3
+# Radii from the light where rays that say something of the disc end, most.
+SHORT = 1.5
+# Share of the rays that are explained worst and left out, for something hidden stands in their way,
+# and discs that judge.
+ODD, JUDGES = 0.15, 8
+# Levels that are as good as none.
+LEVEL = 0.1
+# Powers to which attenuation is expanded, by how much it grows along a ray, at first and later.
+POWER, GROWN, LATER = 3, np.linspace(-1.2, 1.2, 13), np.linspace(-0.8, 0.8, 9)
+
+
+class Disc(NamedTuple):
+    """What one leaves of the levels (rms), its light's column and row and its radius, in texels,
+    the density, its gain as a multiple of what it was and by what the attenuation grows."""
+
+    left: float
+    column: float
+    row: float
+    radius: float
+    density: float
+    gain: float
+    kappa: float
+
+
+class Rays(NamedTuple):
+    """Columns ``x`` and rows ``y`` (n,) where clear rays start, in texels of a pass of ``size``;
+    ``levels`` (n,) and ``terms`` (n, k) of the background there; by how many parts a side texels at
+    the rim are ``cut``; what a disc ``usual``ly leaves."""
+
+    x: np.ndarray
+    y: np.ndarray
+    levels: np.ndarray
+    terms: np.ndarray
+    size: tuple[int, int]
+    cut: int
+    usual: float = 1.0
+
+    def only(self, which) -> Rays:
+        x, y, levels, terms = (a[which] for a in self[:4])
+        return self._replace(x=x, y=y, levels=levels, terms=terms)
+
+
+def seen_clearly(turns: Turns, read: Read, cut: int) -> np.ndarray | None:
+    """Coordinates (p,) of the disc about that of ``read`` that stands out most along clear rays;
+    None where too few are clear. A texel at its rim is in or out, or a mean of ``cut`` by ``cut``
+    parts that are."""
+    z, free = read.point.coordinates, turns.free
+    h, w = size = (read.mask.shape[0], read.mask.shape[1])
+    at = turns.model.moved(z, turns.held)
+    column, row = np.asarray(at.light[0], np.float64) * (w, -h) + (-0.5, h - 0.5)
+    dense = DENSE / h
+    away = np.arange(-FAR, FAR + APART / 2, APART)
+    columns, rows = np.unique(column + away * free[LIGHT_X]), np.unique(row + away * free[LIGHT_Y])
+
+    def about(pair: tuple[float, float]) -> tuple[Disc, Rays] | None:
+        density, radius = pair
+        rays = _clear_rays(turns, at, size, (column, row), density, radius, cut)
+        if len(rays.x) < LEAST:
+            return None
+        radii = np.arange(radius / OFF, radius * OFF, THIN) if free[RADIUS] else np.array([radius])
+        tried = _tried(turns, z, rays.only(slice(FEW)), density, 0.0, GROWN)
+        first = sorted(tried(columns[::2], rows[::2], radii))[:JUDGES]
+        rays = rays.only(_usual(turns, z, rays, first))
+        tried = _tried(turns, z, rays.only(slice(FEW)), density, 0.0, GROWN)
+        all_ = tried(columns, rows, radii)
+        usual = float(np.median([disc.left for disc in all_]))
+        return min(all_), rays._replace(usual=usual)
+
+    pairs = _sizes(float(at.shading.density), float(at.shape[0]) * h, dense, free)
+    found = [each for each in side_by_side(about, pairs) if each is not None]
+    if not found:
+        return None
+    # Where hardly any disc fits, anything stands out.
+    usual = float(np.median([rays.usual for _, rays in found]))
+    found = [(disc, rays._replace(usual=min(rays.usual, usual))) for disc, rays in found]
+    found = sorted(found, key=_stands_out)[:CLOSER]
+    steps = np.array([-1.0, 0.0, 1.0])
+    for time in range(1, TIMES + 1):
+        share = 0.5**time
+
+        def closer(each: tuple[Disc, Rays], share=share) -> tuple[Disc, Rays]:
+            disc, rays = each
+            columns, rows = (
+                np.unique(c + share * APART * steps * free[i])
+                for c, i in ((disc.column, LIGHT_X), (disc.row, LIGHT_Y))
+            )
+            radii = np.unique(disc.radius + share * THIN * np.arange(-4, 5) * free[RADIUS])
+            densities = np.unique(disc.density + share * dense * steps * free[DENSITY]).clip(0, 1)
+            near = [
+                _tried(turns, z, rays, d, disc.kappa, share * LATER)(columns, rows, radii)
+                for d in densities
+            ]
+            return min(itertools.chain.from_iterable(near)), rays
+
+        found = sorted(side_by_side(closer, found), key=_stands_out)
+    best, _ = found[0]
+    z = z.copy()
+    z[LIGHT_X], z[LIGHT_Y] = (best.column + 0.5) / w, 1 - (best.row + 0.5) / h
+    z[RADIUS], z[DENSITY] = best.radius / h, best.density
+    z[KAPPA] += best.kappa
+    z[GAIN] *= best.gain
+    return turns.inside(z)
+
+
+def _stands_out(each: tuple[Disc, Rays]) -> float:
+    """What a disc leaves of what is usually left. Where there is no light nothing is left."""
+    disc, rays = each
+    return (disc.left + LEVEL) / (rays.usual + LEVEL)
+
+
+def _expanded(grown: np.ndarray) -> np.ndarray:
+    """(q, POWER + 1) by how much powers of the way to the end of the ray count where attenuation
+    has ``grown`` (q,) by so much."""
+    powers = np.arange(POWER + 1)
+    return (-grown[:, None]) ** powers / factorial(powers)
+
+
+def _tried(turns: Turns, z: np.ndarray, rays: Rays, density: float, kappa: float, grown):
+    """What finds the best discs of some radii (r,), at each of some columns and rows."""
+    t, c = _taps(turns, z, density, kappa)
+    basis = np.linalg.qr(rays.terms)[0]
+    grown = np.unique(np.maximum(grown / density, -z[KAPPA] - kappa) * turns.free[KAPPA])
+
+    def tried(columns, rows, radii) -> list[Disc]:
+        places = itertools.product(columns, rows)
+        best = [_best(rays, basis, place, t, c, radii, density, grown) for place in places]
+        return [disc._replace(kappa=kappa + disc.kappa) for disc in best]
+
+    return tried
+
+
+def _sizes(density: float, radius: float, dense: float, free: np.ndarray) -> list[tuple]:
+    """Densities, and with each a radius in texels: discs that are seen from as far, and discs that
+    are as large."""
+    if not free[DENSITY]:
+        return [(density, radius)]
+    most, least = 1 - SMALLER * (1 - density) + dense, 1 - LARGER * (1 - density) - dense
+    steps = np.arange(np.ceil((least - density) / dense), (most - density) / dense)
+    pairs = [(d, radius * (1 - d) / max(1 - density, dense)) for d in density + dense * steps]
+    steps = np.arange(-np.ceil(NEARBY / dense), NEARBY / dense + 1)
+    pairs += [(d, radius) for d in density + dense * steps]
+    return [(d, r) for d, r in pairs if 0 < d <= 1 and r > 0]
+
+
+def _clear_rays(
+    turns: Turns, at: DiscLight, size, light, density: float, radius: float, cut: int
+) -> Rays:
+    """Rays that reach the disc, or nearly, and meet nothing."""
+    picture = turns.picture
+    rng = np.random.default_rng(turns.seed)
+    usable = rng.permutation(np.flatnonzero(picture.valid & ~picture.clipped))
+    x, y = texels_of(usable, picture.size, size)
+    near = (1 - density) * np.hypot(x - light[0], y - light[1]) < SHORT * radius
+    usable, x, y = usable[near][:AMONG], x[near][:AMONG], y[near][:AMONG]
+    # As first seen: of objects that glare hides there are few.
+    blocked = ndimage.binary_dilation(shrink(np.asarray(picture.mask), size) < 0.5, iterations=2)
+    clear = is_clear(x, y, np.asarray(light), density, turns.model.samples, blocked)
+    pixels, x, y = usable[clear][:MORE], x[clear][:MORE], y[clear][:MORE]
+    back = terms(jnp.asarray(pixels), picture.size, at.background.shape[0])
+    levels, _ = light_read(at, picture, pixels)
+    return Rays(x, y, levels, np.asarray(back, np.float64), size, cut)
+
+
+def _taps(turns: Turns, z: np.ndarray, density: float, kappa: float):
+    """Places and weights (k,), in levels, of what the disc adds."""
+    z = z.copy()
+    z[DENSITY] = density
+    z[KAPPA] = max(z[KAPPA] + kappa, 0.0)
+    (taps,) = turns.model.moved(z, turns.held).taps
+    share = z[GAIN] / max(z[GAIN] + z[VEIL], 1e-9)
+    t, c = (np.asarray(a, np.float64) for a in (taps.t, taps.c))
+    return np.append(0.0, t), np.append(float(taps.own), c) * (share * LEVELS)
+
+
+def _best(rays: Rays, basis: np.ndarray, place, t, c, radii, density: float, grown) -> Disc:
+    """The best of the discs of these ``radii`` (r,) at a ``place``, column and row, with
+    attenuation ``grown`` (q,) by so much."""
+    sums = disc_sums(rays.x, rays.y, rays.size, np.array(place), t, c, radii, rays.cut, POWER)
+    n, r, p = sums.shape
+    flat = sums.reshape(n, r * p)
+    goal = rays.levels - basis @ (basis.T @ rays.levels)
+    shown = (basis.T @ flat).reshape(-1, r, p)
+    by = sums.transpose(1, 2, 0)
+    matrix = by @ by.transpose(0, 2, 1) - np.einsum("kri,krj->rij", shown, shown)
+    along = (goal @ flat).reshape(r, p)
+    expanded = _expanded(grown)
+    size = np.maximum(np.einsum("qi,rij,qj->rq", expanded, matrix, expanded), 1e-12)
+    share = along @ expanded.T
+    told = np.where(share > 0, share**2 / size, 0.0)
+    i, q = np.unravel_index(told.argmax(), told.shape)
+    left = float(np.sqrt(max(goal @ goal - told[i, q], 0.0) / n))
+    more = float(grown[q])
+    # What is as bright at the end of the ray, where the disc is.
+    gain = float(share[i, q] / size[i, q] * np.exp(more * t[-1]))
+    column, row = place
+    return Disc(left, column, row, float(radii[i]), density, gain, more)
+
+
+def _usual(turns: Turns, z: np.ndarray, rays: Rays, discs: list[Disc]) -> np.ndarray:
+    """Which rays (n,) these discs, none of which need be right, explain as they do the most."""
+    off = []
+    for disc in discs:
+        t, c = _taps(turns, z, disc.density, disc.kappa)
+        place, radii = np.array([disc.column, disc.row]), np.array([disc.radius])
+        sums = disc_sums(rays.x, rays.y, rays.size, place, t, c, radii, rays.cut, 0)
+        design = np.column_stack([rays.terms, sums[:, 0, 0]])
+        found = np.linalg.lstsq(design, rays.levels, rcond=None)[0]
+        off.append(np.abs(rays.levels - design @ found))
+    off = np.median(off, 0)
+    return off <= np.quantile(off, 1 - ODD)

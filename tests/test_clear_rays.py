@@ -1,0 +1,108 @@
+"""What clear rays tell of a disc: sums against a slow reference, discs against what was drawn."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from godfit.clear_rays import seen_clearly
+from godfit.disc import DENSITY, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
+from godfit.disc_sums import disc_sums, is_clear
+from godfit.inputs import image
+from godfit.models import Mitchell
+from godfit.observation import Picture, shrink
+from godfit.solver import Point
+from godfit.turns import Read, Turns
+
+SIZE = (108, 192)
+LIGHT, RADIUS_THERE, VEIL, COLOUR = (0.43, 0.56), 0.11, 0.05, (0.2, 0.25, 0.3)
+
+
+def drawn(size, cut, light=LIGHT, radius=RADIUS_THERE):
+    """(h, w) the share of every texel's parts that lie in a disc."""
+    h, w = size[0] * cut, size[1] * cut
+    x, y = np.meshgrid((np.arange(w) + 0.5) / h, 1 - (np.arange(h) + 0.5) / h)
+    disc = np.hypot(x - light[0] * w / h, y - light[1]) < radius
+    return shrink(disc.astype(np.float64), size)
+
+
+@pytest.mark.parametrize("cut", [1, 2])
+@pytest.mark.parametrize("place", [(30.3, 21.8), (-4.2, 50.1)], ids=["inside", "outside"])
+def test_sums_of_discs_are_those_of_their_masks(place, cut):
+    """Of every radius, with every power of the way, where rays leave the pass too."""
+    h, w, n = 40, 60, 30
+    rng = np.random.default_rng(2)
+    x, y = rng.uniform(-0.5, w - 0.5, 50), rng.uniform(-0.5, h - 0.5, 50)
+    t, c = 0.83 * np.arange(n + 1) / n, rng.uniform(0.5, 1, n + 1)
+    radii = 7 + 0.35 * np.arange(12)
+    found = disc_sums(x, y, (h, w), np.array(place), t, c, radii, cut, 2)
+    light = (place[0] + 0.5) / w, 1 - (place[1] + 0.5) / h
+    for i, radius in enumerate(radii):
+        mask = drawn((h, w), cut, light, radius / h)
+        at = [a[:, None] + t * (b - a[:, None]) for a, b in ((y, place[1]), (x, place[0]))]
+        read = ndimage.map_coordinates(mask, at, order=1, mode="nearest")
+        for power in range(3):
+            expected = (read * c * (t - t[-1]) ** power).sum(1)
+            np.testing.assert_allclose(found[:, i, power], expected, atol=1e-9)
+
+
+def test_rays_that_meet_something_are_not_clear():
+    blocked = np.zeros((20, 30), bool)
+    blocked[8:12, 15] = True
+    x, y = np.array([25.0, 25.0, 5.0]), np.array([10.0, 0.0, 10.0])
+    assert is_clear(x, y, np.array([10.0, 10.0]), 0.9, 40, blocked).tolist() == [False, True, True]
+    # One that ends before it is.
+    assert is_clear(x, y, np.array([10.0, 10.0]), 0.5, 40, blocked).all()
+
+
+@pytest.mark.parametrize("cut", [1, 2])
+def test_the_disc_is_told_to_a_fraction_of_a_texel(cut):
+    """From one that is seen from as far, a third larger, its light half a texel off."""
+    open_ = np.ones(SIZE)
+    open_[40:60, 96:120] = 0
+    mask = open_ * np.maximum(drawn(SIZE, cut), VEIL)
+    shading = Mitchell(0.03, 0.985, 0.8, 0.7, [LIGHT], "dawntime", 60)
+    levels = 255 * (np.array(COLOUR) + np.asarray(shading(jnp.asarray(mask)))[..., None])
+    target = np.round(levels).clip(0, 255).astype(np.uint8)
+    picture = Picture.make(image(target, "none"), open_.astype(np.float32), None, None)
+    silent = ndimage.binary_dilation(open_ == 0, iterations=2)
+    picture = dataclasses.replace(picture, valid=picture.valid & ~silent)
+    with jax.enable_x64(False):
+        shading = Mitchell(0.03, 0.985, 0.8, 0.7, [LIGHT], "dawntime", 60)
+        model = DiscLight(shading, [RADIUS_THERE, 1e-3, VEIL], [COLOUR])
+        free = np.ones(len(model.parameters), bool)
+        held = np.full(len(free), np.nan, np.float32)
+        turns = Turns(model, picture, open_ == 0, 0.0, free, held, 0)
+        true = np.asarray(model.coordinates(), np.float32)
+        z = true.copy()
+        z[LIGHT_X] += 0.5 / SIZE[1]
+        z[LIGHT_Y] -= 0.4 / SIZE[0]
+        z[RADIUS] *= 1.33
+        z[DENSITY] = 1 - 1.33 * (1 - z[DENSITY])
+        z[KAPPA] *= 0.8
+        seen = picture.observe(picture.informative(1000, 0))
+        begin = Read.of(Point(z, np.inf, False, 0), open_.astype(np.float32), seen)
+        found = seen_clearly(turns, begin, cut)
+    off = np.abs(found - true)
+    assert off[LIGHT_X] * SIZE[1] < 0.1
+    assert off[LIGHT_Y] * SIZE[0] < 0.1
+    assert off[RADIUS] < 0.01 * true[RADIUS]
+    assert off[DENSITY] < 0.005
+    assert off[KAPPA] < 0.1 * true[KAPPA]
+
+
+def test_where_nothing_is_clear_nothing_is_told():
+    shut = np.zeros(SIZE, np.float32)
+    picture = Picture.make(image(np.zeros((*SIZE, 3), np.uint8), "none"), shut, None, None)
+    with jax.enable_x64(False):
+        shading = Mitchell(0.03, 0.985, 0.8, 0.7, [LIGHT], "dawntime", 20)
+        model = DiscLight(shading, [RADIUS_THERE, 1e-3, VEIL], np.zeros((1, 1)))
+        free = np.ones(len(model.parameters), bool)
+        held = np.full(len(free), np.nan, np.float32)
+        turns = Turns(model, picture, shut > 0, 0.0, free, held, 0)
+        z = np.asarray(model.coordinates(), np.float32)
+        begin = Read.of(Point(z, np.inf, False, 0), shut, picture.observe(np.arange(200)))
+        assert seen_clearly(turns, begin, 1) is None
