@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from godfit.clear_rays import seen_clearly
+from godfit.clear_rays import looks_alike, seen_clearly
 from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, SOFT
 from godfit.observation import shrink
 from godfit.side_by_side import side_by_side
@@ -25,15 +25,17 @@ from godfit.valley import DOUBT
 NEAR = (4.0, 2.0, 1.0)
 # Turns of shadows and light before what they make is judged.
 SOME = 2
-# How far beside an answer it is looked for at first: shares of the radius and of the picture and
-# powers of two of what the disc adds, half as far where that finds nothing, and dips of density,
-# which stay as far apart.
-BESIDE = {RADIUS: 0.2, LIGHT_X: 0.004, LIGHT_Y: 0.004, DENSITY: 1.0, GAIN: 1.0}
+# How far beside an answer it is looked for at first: shares of the radius and of the picture, dips
+# of density and powers of two of what the disc adds; half as far where that finds nothing, but at
+# the next dip.
+BESIDE = {RADIUS: 0.2, LIGHT_X: 0.004, LIGHT_Y: 0.004, DENSITY: 8.0, GAIN: 1.0}
+# Share of that where clear rays have shown the disc.
+CLOSE = 0.25
 # Answers that are left each time that it was looked around them.
 LEFT = (2, 1, 1, 1, 1, 1)
 # What leaves so much more before the rest has moved is given up, and how much more may be left by
 # what is as likely.
-WORSE, ALIKE = 1.25, 1.1
+WORSE, ALIKE = 1.25, 1.05
 # What leaves so many times the least is not looked around.
 FAR_WORSE = 2.0
 # Widths of the disc's edge in texels: of one that is drawn without anti-aliasing, whose rim is left
@@ -95,9 +97,15 @@ def best_around(
     turns, read, found, *_ = places[0]
     limit, z = ALIKE * turns.total(read), read.point.coordinates
     alike = [r.point.coordinates - z for r in found if turns.total(r) < limit]
-    scale = turns.model.scales(z)
-    doubts = sorted(alike, key=lambda d: np.abs(d / scale)[turns.free].max(initial=0))[-1:]
+    doubts = _spread(np.array(alike) * turns.free, turns.model.scales(z))
     return turns, read, doubts if read.before is None else [z - read.before, *doubts]
+
+
+def _spread(changes: np.ndarray, scale: np.ndarray) -> list[np.ndarray]:
+    """As far as these ``changes`` (n, p) go along each of their principal directions."""
+    _, _, directions = np.linalg.svd(changes / scale, full_matrices=False)
+    far = np.abs(changes / scale @ directions.T).max(0, initial=0)
+    return [by * direction * scale for by, direction in zip(far, directions, strict=True) if by > 0]
 
 
 def solved(turns: Turns, begin: Read) -> Place:
@@ -110,34 +118,37 @@ def solved(turns: Turns, begin: Read) -> Place:
 
 def _place(turns: Turns, read: Read, share: float) -> Place:
     steps = {index: share * by for index, by in BESIDE.items() if turns.free[index]}
-    if DENSITY in steps:
-        steps[DENSITY] = BESIDE[DENSITY]
     return Place(turns, read, (read,), steps)
 
 
 def _cleared(turns: Turns, reads: list[Read], whole: bool) -> list[Place]:
-    """What clear rays show about each of these."""
-    places = []
+    """What clear rays show about each of these, where that was not looked at from the one before
+    it."""
+    places: list[Place] = []
+    looked: list[Read] = []
     for read in reads:
-        hard = hardened(turns, read)
+        if any(looks_alike(read, other) for other in looked):
+            continue
+        looked.append(read)
         # A light pass as large as the picture is drawn without anti-aliasing.
         own = read.mask.shape[:2] == turns.picture.size
-        for cut in ((1,) if own else (1, 2)) if whole else (2,):
-            z = seen_clearly(hard, read, cut)
-            if z is None:
-                continue
-            thought = shrink(np.asarray(turns.picture.mask), read.mask.shape[:2])
-            begin = Read.of(read.point, thought, read.seen).at(z)
-            # What it shows is held until the rest suits it.
-            free = hard.free.copy()
-            free[[DENSITY, LIGHT_X, LIGHT_Y, RADIUS]] = False
-            held, found = dataclasses.replace(hard, free=free), begin
-            found = held.solved(found, NEAR[0])
-            for sigma in NEAR[1:]:
-                found = held.turn(found, sigma)
-            found = hard.turned(found, SOME)
-            places.append(_place(hard, found, 0.25))
+        cuts = ((1,) if own else (1, 2)) if whole else (2,)
+        hard = hardened(turns, read)
+        found = (seen_clearly(hard, read, cut) for cut in cuts)
+        places += [_suited(hard, read, z) for z in found if z is not None]
     return places
+
+
+def _suited(turns: Turns, read: Read, coordinates: np.ndarray) -> Place:
+    """What clear rays show (p,), held until the rest suits it."""
+    thought = shrink(np.asarray(turns.picture.mask), read.mask.shape[:2])
+    free = turns.free.copy()
+    free[[DENSITY, LIGHT_X, LIGHT_Y, RADIUS]] = False
+    held = dataclasses.replace(turns, free=free)
+    found = held.solved(Read.of(read.point, thought, read.seen).at(coordinates), NEAR[0])
+    for sigma in NEAR[1:]:
+        found = held.turn(found, sigma)
+    return _place(turns, turns.turned(found, SOME), CLOSE)
 
 
 def _left(place: Place) -> float:
@@ -149,11 +160,12 @@ def _looked_around(place: Place) -> Place:
     turns, best, found, steps, dips_of = place
     steps = steps.copy()
     for index, by in steps.items():
-        if index == DENSITY and dips_of is best:
+        next_dips = index == DENSITY and by <= 1
+        if next_dips and dips_of is best:
             continue
         there = side_by_side(functools.partial(_beside, turns, best, index), (-by, by))
         found += tuple(there)
-        if index == DENSITY:
+        if next_dips:
             dips_of = best
         elif turns.total(best) <= min(map(turns.total, there)):
             steps[index] = by / 2
@@ -168,8 +180,8 @@ def _first_sight(turns: Turns, read: Read) -> Read:
 
 
 def hardened(turns: Turns, read: Read) -> Turns:
-    """With the disc's edge, where it is free, held as a mask of that size has it without
-    anti-aliasing."""
+    """With the disc's edge, where it is free, held as a mask (h, w) of the size of ``read``'s has
+    it without anti-aliasing."""
     return with_edge(turns, HARD / read.mask.shape[0]) if turns.free[EDGE] else turns
 
 

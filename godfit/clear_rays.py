@@ -15,13 +15,14 @@ from __future__ import annotations
 import itertools
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 from scipy.special import factorial
 
 from godfit.disc import DENSITY, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, VEIL, DiscLight, terms
-from godfit.disc_sums import disc_sums, is_clear
+from godfit.disc_sums import best_discs, disc_sums, is_clear
 from godfit.observation import LEVELS, shrink
 from godfit.occluders import light_read, texels_of
 from godfit.side_by_side import side_by_side
@@ -61,6 +62,16 @@ class Disc(NamedTuple):
     kappa: float
 
 
+class Starts(NamedTuple):
+    """Row-major ``pixels`` (n,) of the picture, at columns ``x`` and rows ``y`` (n,) in texels of a
+    pass where objects have ``blocked`` (h, w) the way."""
+
+    pixels: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    blocked: np.ndarray
+
+
 class Rays(NamedTuple):
     """Columns ``x`` and rows ``y`` (n,) where clear rays start, in texels of a pass of ``size``;
     ``levels`` (n,) and ``terms`` (n, k) of the background there; by how many parts a side texels at
@@ -84,7 +95,8 @@ def seen_clearly(turns: Turns, read: Read, cut: int) -> np.ndarray | None:
     None where too few are clear. A texel at its rim is in or out, or a mean of ``cut`` by ``cut``
     parts that are."""
     z, free = read.point.coordinates, turns.free
-    h, w = size = (read.mask.shape[0], read.mask.shape[1])
+    h, w = read.mask.shape[:2]
+    starts = _starts(turns, (h, w))
     at = turns.model.moved(z, turns.held)
     column, row = np.asarray(at.light[0], np.float64) * (w, -h) + (-0.5, h - 0.5)
     dense = DENSE / h
@@ -93,7 +105,7 @@ def seen_clearly(turns: Turns, read: Read, cut: int) -> np.ndarray | None:
 
     def about(pair: tuple[float, float]) -> tuple[Disc, Rays] | None:
         density, radius = pair
-        rays = _clear_rays(turns, at, size, (column, row), density, radius, cut)
+        rays = _clear_rays(turns, starts, at, (column, row), density, radius, cut)
         if len(rays.x) < LEAST:
             return None
         radii = np.arange(radius / OFF, radius * OFF, THIN) if free[RADIUS] else np.array([radius])
@@ -141,29 +153,46 @@ def seen_clearly(turns: Turns, read: Read, cut: int) -> np.ndarray | None:
     return turns.inside(z)
 
 
+def looks_alike(read: Read, other: Read) -> bool:
+    """Whether ``other``, of a light pass of the same size, is so near that the same is looked at
+    from there."""
+    if read.mask.shape != other.mask.shape:
+        return False
+    z, there = read.point.coordinates, other.point.coordinates
+    h, w = read.mask.shape[:2]
+    off = np.abs((z - there)[[LIGHT_X, LIGHT_Y]] * (w, h)).max()
+    larger = max(z[RADIUS] / there[RADIUS], there[RADIUS] / z[RADIUS])
+    denser = abs(z[DENSITY] - there[DENSITY])
+    return bool(off < FAR / 4 and larger < np.sqrt(OFF) and denser < NEARBY / 2)
+
+
 def _stands_out(each: tuple[Disc, Rays]) -> float:
     """What a disc leaves of what is usually left. Where there is no light nothing is left."""
     disc, rays = each
     return (disc.left + LEVEL) / (rays.usual + LEVEL)
 
 
-def _expanded(grown: np.ndarray) -> np.ndarray:
-    """(q, POWER + 1) by how much powers of the way to the end of the ray count where attenuation
-    has ``grown`` (q,) by so much."""
-    powers = np.arange(POWER + 1)
-    return (-grown[:, None]) ** powers / factorial(powers)
-
-
 def _tried(turns: Turns, z: np.ndarray, rays: Rays, density: float, kappa: float, grown):
-    """What finds the best discs of some radii (r,), at each of some columns and rows."""
+    """What finds the best discs of some radii (r,), at each of some columns and rows, by least
+    squares."""
     t, c = _taps(turns, z, density, kappa)
-    basis = np.linalg.qr(rays.terms)[0]
+    basis = np.ascontiguousarray(np.linalg.qr(rays.terms)[0].T)
+    goal = rays.levels - (basis @ rays.levels) @ basis
     grown = np.unique(np.maximum(grown / density, -z[KAPPA] - kappa) * turns.free[KAPPA])
+    powers = np.arange(POWER + 1)
+    expanded = (-grown[:, None]) ** powers / factorial(powers)
 
     def tried(columns, rows, radii) -> list[Disc]:
-        places = itertools.product(columns, rows)
-        best = [_best(rays, basis, place, t, c, radii, density, grown) for place in places]
-        return [disc._replace(kappa=kappa + disc.kappa) for disc in best]
+        lights = np.array(list(itertools.product(columns, rows)))
+        best = best_discs(
+            rays.x, rays.y, rays.size, lights, t, c, radii, rays.cut, goal, basis, expanded
+        )
+        left = np.sqrt(np.maximum(goal @ goal - best[:, 0], 0) / len(goal))
+        radius, more = radii[best[:, 2].astype(int)], grown[best[:, 3].astype(int)]
+        # What is as bright at the end of the ray, where the disc is.
+        gain = best[:, 1] * np.exp(more * t[-1])
+        each = zip(left, *lights.T, radius, gain, kappa + more, strict=True)
+        return [Disc(left, x, y, radius, density, *rest) for left, x, y, radius, *rest in each]
 
     return tried
 
@@ -181,23 +210,28 @@ def _sizes(density: float, radius: float, dense: float, free: np.ndarray) -> lis
     return [(d, r) for d, r in pairs if 0 < d <= 1 and r > 0]
 
 
-def _clear_rays(
-    turns: Turns, at: DiscLight, size, light, density: float, radius: float, cut: int
-) -> Rays:
-    """Rays that reach the disc, or nearly, and meet nothing."""
+def _starts(turns: Turns, size: tuple[int, int]) -> Starts:
+    """Where rays may start, in no order."""
     picture = turns.picture
     rng = np.random.default_rng(turns.seed)
-    usable = rng.permutation(np.flatnonzero(picture.valid & ~picture.clipped))
-    x, y = texels_of(usable, picture.size, size)
-    near = (1 - density) * np.hypot(x - light[0], y - light[1]) < SHORT * radius
-    usable, x, y = usable[near][:AMONG], x[near][:AMONG], y[near][:AMONG]
+    pixels = rng.permutation(np.flatnonzero(picture.valid & ~picture.clipped))
     # As first seen: of objects that glare hides there are few.
     blocked = ndimage.binary_dilation(shrink(np.asarray(picture.mask), size) < 0.5, iterations=2)
-    clear = is_clear(x, y, np.asarray(light), density, turns.model.samples, blocked)
-    pixels, x, y = usable[clear][:MORE], x[clear][:MORE], y[clear][:MORE]
-    back = terms(jnp.asarray(pixels), picture.size, at.background.shape[0])
-    levels, _ = light_read(at, picture, pixels)
-    return Rays(x, y, levels, np.asarray(back, np.float64), size, cut)
+    return Starts(pixels, *texels_of(pixels, picture.size, size), blocked)
+
+
+def _clear_rays(
+    turns: Turns, starts: Starts, at: DiscLight, light, density: float, radius: float, cut: int
+) -> Rays:
+    """Rays that reach the disc, or nearly, and meet nothing."""
+    pixels, x, y, blocked = starts
+    near = (1 - density) * np.hypot(x - light[0], y - light[1]) < SHORT * radius
+    near = np.flatnonzero(near)[:AMONG]
+    clear = is_clear(x[near], y[near], np.asarray(light), density, turns.model.samples, blocked)
+    clear = near[clear][:MORE]
+    back = terms(jnp.asarray(pixels[clear]), turns.picture.size, at.background.shape[0])
+    levels, _ = light_read(at, turns.picture, pixels[clear])
+    return Rays(x[clear], y[clear], levels, np.asarray(back, np.float64), blocked.shape, cut)
 
 
 def _taps(turns: Turns, z: np.ndarray, density: float, kappa: float):
@@ -205,34 +239,15 @@ def _taps(turns: Turns, z: np.ndarray, density: float, kappa: float):
     z = z.copy()
     z[DENSITY] = density
     z[KAPPA] = max(z[KAPPA] + kappa, 0.0)
-    (taps,) = turns.model.moved(z, turns.held).taps
+    own, t, c = (np.asarray(a, np.float64) for a in _taps_of(z, turns.held, turns.model))
     share = z[GAIN] / max(z[GAIN] + z[VEIL], 1e-9)
-    t, c = (np.asarray(a, np.float64) for a in (taps.t, taps.c))
-    return np.append(0.0, t), np.append(float(taps.own), c) * (share * LEVELS)
+    return np.append(0.0, t), np.append(own, c) * (share * LEVELS)
 
 
-def _best(rays: Rays, basis: np.ndarray, place, t, c, radii, density: float, grown) -> Disc:
-    """The best of the discs of these ``radii`` (r,) at a ``place``, column and row, with
-    attenuation ``grown`` (q,) by so much."""
-    sums = disc_sums(rays.x, rays.y, rays.size, np.array(place), t, c, radii, rays.cut, POWER)
-    n, r, p = sums.shape
-    flat = sums.reshape(n, r * p)
-    goal = rays.levels - basis @ (basis.T @ rays.levels)
-    shown = (basis.T @ flat).reshape(-1, r, p)
-    by = sums.transpose(1, 2, 0)
-    matrix = by @ by.transpose(0, 2, 1) - np.einsum("kri,krj->rij", shown, shown)
-    along = (goal @ flat).reshape(r, p)
-    expanded = _expanded(grown)
-    size = np.maximum(np.einsum("qi,rij,qj->rq", expanded, matrix, expanded), 1e-12)
-    share = along @ expanded.T
-    told = np.where(share > 0, share**2 / size, 0.0)
-    i, q = np.unravel_index(told.argmax(), told.shape)
-    left = float(np.sqrt(max(goal @ goal - told[i, q], 0.0) / n))
-    more = float(grown[q])
-    # What is as bright at the end of the ray, where the disc is.
-    gain = float(share[i, q] / size[i, q] * np.exp(more * t[-1]))
-    column, row = place
-    return Disc(left, column, row, float(radii[i]), density, gain, more)
+@eqx.filter_jit
+def _taps_of(z, held, model: DiscLight):
+    (taps,) = model.moved(z, held).taps
+    return taps.own, taps.t, taps.c
 
 
 def _usual(turns: Turns, z: np.ndarray, rays: Rays, discs: list[Disc]) -> np.ndarray:

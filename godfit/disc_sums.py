@@ -1,4 +1,4 @@
-"""What discs of many radii add along rays, compiled by numba."""
+"""What discs of many radii add along rays, and which adds what was missing, compiled by numba."""
 
 from __future__ import annotations
 
@@ -40,21 +40,28 @@ def disc_sums(x, y, size, light, t, c, radii, cut, power):
                 dx = middle_x + i - reach + (part % cut + 0.5) / cut - 0.5 - light[0]
                 dy = middle_y + j - reach + (part // cut + 0.5) / cut - 0.5 - light[1]
                 first[j, i, part] = max(int(np.ceil((np.hypot(dx, dy) - radii[0]) / thin)), 0)
+    # What taps from one on add to every disc, where all of these read what lies inside.
+    deep = np.zeros((len(t) + 1, power + 1))
+    for k in range(len(t) - 1, -1, -1):
+        share = c[k]
+        for p in range(power + 1):
+            deep[k, p] = deep[k + 1, p] + share
+            share *= t[k] - t[-1]
+    # Of a light off the picture taps read what is at its border.
+    straight = 0 <= light[0] <= w - 1 and 0 <= light[1] <= h - 1
     out = np.zeros((len(x), count, power + 1))
     for a in range(len(x)):
         sums = out[a]
-        whole = np.hypot(light[0] - x[a], light[1] - y[a])
-        for k in range(len(t)):
-            away = whole * (1 - t[k])
+        start, stop = 0, len(t)
+        if straight:
+            whole = max(np.hypot(light[0] - x[a], light[1] - y[a]), 1e-9)
+            start = np.searchsorted(t, 1 - (radii[-1] + 2) / whole)
+            stop = np.searchsorted(t, 1 - (radii[0] - 2) / whole)
+            sums[0] += deep[stop]
+        for k in range(start, stop):
             column, row = x[a] + t[k] * (light[0] - x[a]), y[a] + t[k] * (light[1] - y[a])
-            within = 0 <= column <= w - 1 and 0 <= row <= h - 1
-            if within and away > radii[-1] + 2:
-                continue
-            if within and away < radii[0] - 2:
-                share = c[k]
-                for p in range(power + 1):
-                    sums[0, p] += share
-                    share *= t[k] - t[-1]
+            away = np.hypot(light[0] - column, light[1] - row)
+            if 0 <= column <= w - 1 and 0 <= row <= h - 1 and away > radii[-1] + 2:
                 continue
             left, low = int(np.floor(column)), int(np.floor(row))
             for corner in range(4):
@@ -75,4 +82,36 @@ def disc_sums(x, y, size, light, t, c, radii, cut, power):
         for r in range(1, count):
             for p in range(power + 1):
                 sums[r, p] += sums[r - 1, p]
+    return out
+
+
+@compiled
+def best_discs(x, y, size, lights, t, c, radii, cut, goal, basis, expanded):
+    """(m, 4) of the best disc about each column and row of ``lights`` (m, 2), by least squares: how
+    much of the square of ``goal`` (n,) it explains, by how much its sums count, and which of
+    ``radii`` (r,) and of ``expanded`` (q, power + 1), what powers of the way count, are its own.
+    ``basis`` (k, n), orthonormal rows to which the goal is orthogonal, goes with any of them."""
+    (k, n), count, powers = basis.shape, len(radii), expanded.shape[1]
+    out = np.zeros((len(lights), 4))
+    squares = np.empty((powers, powers))
+    for m in range(len(lights)):
+        sums = disc_sums(x, y, size, lights[m], t, c, radii, cut, powers - 1)
+        flat = sums.reshape(n, count * powers)
+        along, shown = goal @ flat, basis @ flat
+        for r in range(count):
+            own = slice(r * powers, (r + 1) * powers)
+            for i in range(powers):
+                for j in range(i + 1):
+                    square = 0.0
+                    for a in range(n):
+                        square += sums[a, r, i] * sums[a, r, j]
+                    for a in range(k):
+                        square -= shown[a, r * powers + i] * shown[a, r * powers + j]
+                    squares[i, j] = squares[j, i] = square
+            for q in range(len(expanded)):
+                share = (along[own] * expanded[q]).sum()
+                if share > 0:
+                    all_ = max((squares * np.outer(expanded[q], expanded[q])).sum(), 1e-12)
+                    if share * share / all_ > out[m, 0]:
+                        out[m] = np.array([share * share / all_, share / all_, float(r), float(q)])
     return out

@@ -301,12 +301,12 @@ def _apart(points: list[Point]) -> list[Point]:
     """Points, cheapest first, with their lights apart."""
     kept: list[Point] = []
     for p in points:
-        if np.isfinite(p.cost) and not any(_near(p, q) for q in kept):
+        if np.isfinite(p.cost) and not any(_agree(p, q) for q in kept):
             kept.append(p)
     return kept or points
 
 
-def _near(p: Point, q: Point) -> bool:
+def _agree(p: Point, q: Point) -> bool:
     return bool(np.abs(p.coordinates[4:6] - q.coordinates[4:6]).max() < AGREE)
 
 

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from godfit.clear_rays import seen_clearly
 from godfit.disc import DENSITY, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
-from godfit.disc_sums import disc_sums, is_clear
+from godfit.disc_sums import best_discs, disc_sums, is_clear
 from godfit.inputs import image
 from godfit.models import Mitchell
 from godfit.observation import Picture, shrink
@@ -47,6 +47,31 @@ def test_sums_of_discs_are_those_of_their_masks(place, cut):
         for power in range(3):
             expected = (read * c * (t - t[-1]) ** power).sum(1)
             np.testing.assert_allclose(found[:, i, power], expected, atol=1e-9)
+
+
+def test_the_best_disc_is_that_of_least_squares():
+    """Of all radii and attenuations, each fitted beside a background."""
+    h, w, n = 40, 60, 30
+    rng = np.random.default_rng(3)
+    x, y = rng.uniform(0, w - 1, 80), rng.uniform(0, h - 1, 80)
+    t, c = 0.83 * np.arange(n + 1) / n, rng.uniform(0.5, 1, n + 1)
+    radii, lights = 7 + 0.35 * np.arange(12), np.array([[30.3, 21.8], [28.1, 22.4]])
+    expanded = np.stack([[1.0, -a, a**2 / 2] for a in (-0.4, 0.0, 0.5)])
+    background = np.column_stack([np.ones(80), x])
+    basis = np.linalg.qr(background)[0].T.copy()
+    levels = rng.normal(size=80) + disc_sums(x, y, (h, w), lights[0], t, c, radii, 1, 0)[:, 4, 0]
+    goal = levels - basis.T @ (basis @ levels)
+    found = best_discs(x, y, (h, w), lights, t, c, radii, 1, goal, basis, expanded)
+    for light, best in zip(lights, found, strict=True):
+        sums = disc_sums(x, y, (h, w), light, t, c, radii, 1, 2) @ expanded.T
+        fits = {}
+        for r, q in np.ndindex(sums.shape[1:]):
+            design = np.column_stack([background, sums[:, r, q]])
+            by, left, *_ = np.linalg.lstsq(design, levels)
+            fits[r, q] = left[0], by[-1]
+        r, q = min(fits, key=fits.get)
+        left, by = fits[r, q]
+        np.testing.assert_allclose(best, [goal @ goal - left, by, r, q], rtol=1e-8)
 
 
 def test_rays_that_meet_something_are_not_clear():

@@ -35,6 +35,14 @@ def disc_model(terms=1, samples=40):
     return DiscLight(shading, [0.15, 0.01, 0.06], background)
 
 
+def beside_panels(screen):
+    """(h, w) where no panel lies on top."""
+    valid = np.ones(screen.image.shape[:2], bool)
+    for x, y, w, h in screen.panels:
+        valid[y : y + h, x : x + w] = False
+    return valid
+
+
 @pytest.mark.parametrize("foreign", [0.01, 0.3])
 def test_heavy_tails_are_a_mixture(foreign):
     """Of the Gaussian's interval and of any level alike; slope and residuals are its own."""
@@ -206,11 +214,10 @@ def fewer_starts(looks):
 def screen():
     """One light before which nothing glares, and its fit."""
     screen = made(1022, "flat", SIZE)
-    valid = np.ones(SIZE, bool)
-    for x, y, w, h in screen.panels:
-        valid[y : y + h, x : x + w] = False
     samples = int(screen.truth["samples"])
-    return screen, godfit.fit(screen.image, shader="dawntime", samples=samples, valid=valid)
+    return screen, godfit.fit(
+        screen.image, shader="dawntime", samples=samples, valid=beside_panels(screen)
+    )
 
 
 def test_light_and_shader_are_read_off_a_screenshot(screen):
@@ -243,14 +250,10 @@ def test_an_occluder_that_is_given_stands_in_the_way(screen):
 def test_a_light_most_of_which_is_hidden_is_looked_for():
     """What is left of its disc lies beside it."""
     screen = made(9011, "flat")
-    valid = np.ones(screen.image.shape[:2], bool)
-    for x, y, w, h in screen.panels:
-        valid[y : y + h, x : x + w] = False
-    picture = screenshot.read(image(screen.image, "none"), valid, None).picture
-    off = screen_disc.places(picture.shrunk(2), 0) - [
-        screen.truth["light_x"],
-        screen.truth["light_y"],
-    ]
+    h, w = screen.image.shape[:2]
+    picture = screenshot.read(image(screen.image, "none"), beside_panels(screen), None).picture
+    light = screen.truth["light_x"], screen.truth["light_y"]
+    off = (screen_disc.places(picture.shrunk(2), 0) - light) * (w / h, 1)
     assert np.hypot(*off.T).min() < 0.03
 
 
@@ -303,11 +306,10 @@ def test_without_rays_a_fit_does_not_converge(screen, looks, monkeypatch):
     screen, _ = screen
     seen = looks[0]._replace(explained=0.9 * unaided.RAYS)
     monkeypatch.setattr(screenshot, "look", lambda *_: seen)
-    valid = np.ones(SIZE, bool)
-    for x, y, w, h in screen.panels:
-        valid[y : y + h, x : x + w] = False
     samples = int(screen.truth["samples"])
-    result = godfit.fit(screen.image, shader="dawntime", samples=samples, valid=valid)
+    result = godfit.fit(
+        screen.image, shader="dawntime", samples=samples, valid=beside_panels(screen)
+    )
     assert not result.converged
     assert "no rays were found" in result.message
 
