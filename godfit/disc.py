@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from godfit.models import AbstractModel, Mitchell, Vector
+from godfit.models import FAINTEST, AbstractModel, Mitchell, Vector
 from godfit.parameters import SCATTERING, Parameter, light_parameters
 from godfit.radial.geometric import is_zero
 from godfit.taps import Convention, Taps
@@ -146,7 +146,8 @@ class DiscLight(AbstractModel):
         shading = self.shading.moved(jnp.asarray(coordinates[:6]).at[GAIN].set(gain), held[:6])
         # A weight that is held says what the gain is.
         gain = jnp.where(free[GAIN], gain, shading.coordinates()[GAIN])
-        veil = veiled / jnp.where(gain > 0, gain, 1.0)
+        # The square of what is next to nothing is nothing, and a derivative over it is none.
+        veil = veiled / jnp.where(gain > FAINTEST, gain, 1.0)
         # Not clipped: where there is no disc, what one adds takes from the veil's share.
         veil = jnp.where(veil > 1, 1.0, jnp.maximum(veil, 0.0))
         rest = jnp.where(free[6:], coordinates[6:], held[6:])

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
 from godfit.disc import TERMS, DiscLight, terms
-from godfit.observation import Picture
+from godfit.observation import Picture, shrink
 
 # Longest side of the copy on which it is asked how much the light explains: fine texture is gone.
 COPY = 60
@@ -24,14 +25,18 @@ def explained(z, held, model: DiscLight, small: Picture) -> float:
     what a smooth background alone would leave, in absolute deviations of the pixels whose light
     pass can be read; 1 is all, below 0 is worse than none. Texture, which nothing explains, is not
     asked for."""
+    # Cells of what the picture's own texels make: of a light beside the picture, coarse ones make
+    # another.
+    seen = small.observe(np.arange(small.size[0] * small.size[1]))
+    made = np.asarray(predicted(z, held, model, seen)).reshape(*small.size, -1)
     small = small.shrunk(-(-max(small.size) // COPY))
     usable = np.flatnonzero(small.valid & ~small.clipped)
     if len(usable) < 50:
         return 0.0
-    seen = small.observe(usable)
-    left = np.abs(residual(z, held, model, seen)).mean()
+    off = np.abs(small.levels - shrink(made, small.size))
+    left = np.maximum(off - small.half, 0).max(-1).reshape(-1)[usable].mean()
     goal = small.levels.reshape(-1, small.channels)[usable].astype(np.float64)
-    basis = np.asarray(terms(seen.pixels, seen.size, TERMS[3]), np.float64)
+    basis = np.asarray(terms(jnp.asarray(usable), small.size, TERMS[3]), np.float64)
     weight = np.ones(len(goal))
     for _ in range(10):
         root = np.sqrt(weight)[:, None]
@@ -63,12 +68,6 @@ def grain(picture: Picture) -> float:
 
 @eqx.filter_jit
 def predicted(z, held, model, seen):
-    """(n c,) levels at the pixels seen, channel by channel, for coordinates ``z`` (p,)."""
+    """(n c,) levels at the pixels seen, every pixel's channels together, for coordinates ``z``
+    (p,)."""
     return seen.predict(model.moved(z, held))
-
-
-def residual(z, held, model, seen) -> np.ndarray:
-    """(n,) how far, in levels, each pixel's worst channel lies outside its interval."""
-    prediction = np.asarray(predicted(z, held, model, seen))
-    off = np.maximum(np.asarray(seen.lo) - prediction, prediction - np.asarray(seen.hi))
-    return np.maximum(off, 0).reshape(-1, seen.channels).max(1)

@@ -22,6 +22,8 @@ from godfit.upsample import Texels, at_pixels
 
 # By coordinate or by parameter; what lives between two calls is kept as a numpy array.
 Vector = Float[Array, " p"] | Float[np.ndarray, " p"]
+# Exposures and gains that are none: derivatives divide by their squares.
+FAINTEST = 1e-12
 # By pixel and channel.
 Values = Float[Array, " m"] | Float[np.ndarray, " m"]
 
@@ -182,8 +184,8 @@ class Mitchell(AbstractModel):
         density = jnp.where(free[2], density, held[2])
         step = density / self.samples
         decay = jnp.where(free[1], jnp.exp(-kappa * step), held[1])
-        # With no exposure there is no light pass, whatever the weight: the guard keeps 0/0 out.
-        shown = jnp.where(exposure == 0, 1.0, exposure)
+        # With no exposure there is no light pass, whatever the weight.
+        shown = jnp.where(exposure > FAINTEST, exposure, 1.0)
         weight = jnp.where(free[3], gain * step / shown, held[3])
         light = jnp.where(free[4:], coordinates[4:], held[4:]).reshape(-1, 2)
         return eqx.tree_at(

@@ -279,26 +279,48 @@ def test_texture_is_not_asked_of_the_light():
     them and by no other."""
     screen = made(3003, "textured", (180, 320))
     picture = screenshot.read(image(screen.image, "none"), None, None).picture
-    picture = dataclasses.replace(picture, mask=(screen.mask > 0).astype(np.float32))
     smooth = screenshot.read(image(made(3003, "smooth", (180, 320)).image, "none"), None, None)
     assert grain(picture) > 4
     assert grain(smooth.picture) < 1
-
-    @jax.enable_x64(False)
-    def share(u, v):
-        t = screen.truth
-        four = (t[name] for name in ("exposure", "decay", "density", "weight"))
-        shading = Mitchell(*four, [[u, v]], "dawntime", int(t["samples"]))
-        model = DiscLight(shading, [t["radius"], 0.002, t["veil"]], np.zeros((6, 3)))
-        z = np.asarray(model.coordinates(), np.float32)
-        held = np.full(len(z), np.nan, np.float32)
-        seen = picture.observe(np.flatnonzero(picture.valid))
-        z = screenshot.with_background(z, held, model, seen)
-        return explained(z, held, model, picture)
-
     u, v = screen.truth["light_x"], screen.truth["light_y"]
-    assert share(u, v) > 0.5
-    assert share(1 - u, 1 - v) < 0
+    assert share_explained(screen, u, v) > 0.5
+    assert share_explained(screen, 1 - u, 1 - v) < 0
+
+
+def test_a_light_beside_the_picture_explains_it():
+    """The few texels of a small copy, by which it is told, would be lit by another."""
+    screen = made(9021, "smooth")
+    assert screen.truth["light_x"] < 0
+    light = screen.truth["light_x"], screen.truth["light_y"]
+    assert share_explained(screen, *light) > 0.9
+
+
+@jax.enable_x64(False)
+def share_explained(screen, u, v):
+    """By a light there, all else as it was."""
+    picture = screenshot.read(image(screen.image, "none"), beside_panels(screen), None).picture
+    mask = shrink_mask((screen.mask > 0).astype(np.float32), screen.pass_scale)
+    picture = dataclasses.replace(picture, mask=mask)
+    t = screen.truth
+    four = (t[name] for name in ("exposure", "decay", "density", "weight"))
+    shading = Mitchell(*four, [[u, v]], "dawntime", int(t["samples"]))
+    model = DiscLight(shading, [t["radius"], 0.002, t["veil"]], np.zeros((6, 3)))
+    z = np.asarray(model.coordinates(), np.float32)
+    held = np.full(len(z), np.nan, np.float32)
+    seen = picture.observe(np.flatnonzero(picture.valid))
+    return explained(screenshot.with_background(z, held, model, seen), held, model, picture)
+
+
+def test_next_to_no_light_has_derivatives():
+    model, open_ = disc_model(), jnp.ones(SIZE, jnp.float32)
+    z = np.array(model.coordinates(), np.float32)
+    z[[0, GAIN, VEIL]] = 1e-35, 0, 1e-32
+    pixels = jnp.arange(100, dtype=jnp.int32)
+
+    def picture(z):
+        return model.moved(z)(open_, size=SIZE, pixels=pixels, method="reference")
+
+    assert np.isfinite(jax.jacfwd(picture)(jnp.asarray(z, jnp.float32))).all()
 
 
 def test_without_rays_a_fit_does_not_converge(screen, looks, monkeypatch):
