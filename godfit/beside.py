@@ -94,7 +94,10 @@ def best_around(
         places = places[:left]
         if all(place.finished for place in places):
             break
-    turns, read, found, *_ = places[0]
+    # What is nearly right knows better what is clear.
+    places = [places[0], *_cleared(turns, [places[0].read], whole)]
+    found = itertools.chain.from_iterable(place.found for place in places)
+    turns, read, *_ = min(places, key=_left)
     limit, z = ALIKE * turns.total(read), read.point.coordinates
     alike = [r.point.coordinates - z for r in found if turns.total(r) < limit]
     doubts = _spread(np.array(alike) * turns.free, turns.model.scales(z))

@@ -36,6 +36,8 @@ FAR, APART, THIN, DENSE = 1.25, 0.25, 0.125, 1.5
 # Discs by how much smaller and larger, if seen from as far, how far densities are off for one that
 # is as large, and by what factor radii are.
 SMALLER, LARGER, NEARBY, OFF = 0.5, 1.3, 0.04, 1.08
+# Radii, in heights of the pass, most: what is larger fills the picture.
+LARGEST = 0.5
 # Of the best, what is looked at more closely, and how often, twice as closely each time.
 CLOSER, TIMES = 12, 3
 # Radii from the light where rays that say something of the disc end, most.
@@ -118,6 +120,7 @@ def seen_clearly(turns: Turns, read: Read, cut: int) -> np.ndarray | None:
         return min(all_), rays._replace(usual=usual)
 
     pairs = _sizes(float(at.shading.density), float(at.shape[0]) * h, dense, free)
+    pairs = [(density, radius) for density, radius in pairs if radius < LARGEST * h]
     found = [each for each in side_by_side(about, pairs) if each is not None]
     if not found:
         return None

@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from godfit import inputs, screenshot, search
 from godfit.beside import NEAR, best_around, hardened, softened, solved
-from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, VEIL, DiscLight
+from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL, DiscLight
 from godfit.errors import InputError
 from godfit.explained import grain, predicted
 from godfit.image import Image
@@ -37,6 +37,8 @@ FAINT = 0.1
 ROUNDS = 25
 # Turns of shadows and light on the picture, most.
 TURNS = 6
+# Degree of a background that is not constant, in the end: light makes up for what it cannot follow.
+FINER = 3
 # A disc is in sight where it is brighter than the veil by this.
 SEEN = 1.1
 # The size of a light pass that is tried beside the picture's own.
@@ -114,6 +116,8 @@ def found_in(
         if pass_scale is None and read.mask.shape != picture.mask.shape:
             pass_scale = HALF
             notes += (COARSE,)
+        turns, read, doubts = _finer_background(turns, read, doubts)
+        model = turns.model
         say(f"all of the {len(seen.pixels):,} pixels")
         read = turns.descended(read._replace(seen=seen.with_mask(read.mask)), turns.noise)
         read = turns.turned(read, TURNS)
@@ -197,6 +201,24 @@ def _searched(
     sizes = [own, half] if pass_scale is None else [own]
     place = min(side_by_side(functools.partial(solved, turns), sizes), key=lambda p: p.left)
     return place.turns, place.read, doubts
+
+
+def _finer_background(
+    turns: Turns, read: Read, doubts: list[np.ndarray]
+) -> tuple[Turns, Read, list[np.ndarray]]:
+    """With a background of a higher degree than the search did with, unless it is constant."""
+    k, c = turns.model.background.shape
+    if k == 1:
+        return turns, read, doubts
+    more = (TERMS[FINER] - k) * c
+
+    def longer(values: np.ndarray, by: float = 0) -> np.ndarray:
+        return np.append(values, np.full(more, by, values.dtype))
+
+    model = screenshot.template(turns.model.shading, c, FINER)
+    free, held = longer(turns.free, True), longer(turns.held, np.nan)
+    turns = dataclasses.replace(turns, model=model, free=free, held=held)
+    return turns, read.at(longer(read.point.coordinates)), [longer(doubt) for doubt in doubts]
 
 
 def _rivals(mask: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, ...]:
