@@ -16,7 +16,6 @@ import itertools
 from typing import NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 from scipy.special import factorial
@@ -232,9 +231,9 @@ def _clear_rays(
     near = np.flatnonzero(near)[:AMONG]
     clear = is_clear(x[near], y[near], np.asarray(light), density, turns.model.samples, blocked)
     clear = near[clear][:MORE]
-    back = terms(jnp.asarray(pixels[clear]), turns.picture.size, at.background.shape[0])
+    back = terms(pixels[clear], turns.picture.size, at.background.shape[0])
     levels, _ = light_read(at, turns.picture, pixels[clear])
-    return Rays(x[clear], y[clear], levels, np.asarray(back, np.float64), blocked.shape, cut)
+    return Rays(x[clear], y[clear], levels, np.asarray(back), blocked.shape, cut)
 
 
 def _taps(turns: Turns, z: np.ndarray, density: float, kappa: float):

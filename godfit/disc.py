@@ -21,7 +21,7 @@ from godfit.models import FAINTEST, AbstractModel, Mitchell, Vector
 from godfit.parameters import SCATTERING, Parameter, light_parameters
 from godfit.radial.geometric import is_zero
 from godfit.taps import Convention, Taps
-from godfit.upsample import Texels, at_pixels, columns_rows
+from godfit.upsample import Texels, at_pixels
 
 SHAPE = (
     Parameter("radius", "R", "of the height", 0.0, np.inf, "of the light's disc"),
@@ -48,12 +48,14 @@ def powers(x, y, count: int) -> list:
     return [x**i * y**j for i, j in POWERS[:count]]
 
 
-def terms(pixels: Int[Array, " n"], size: tuple[int, int], count: int) -> Float[Array, "n k"]:
-    """The first ``count`` powers of the place at row-major ``pixels`` of a picture of ``size``."""
+def terms(
+    pixels: Int[Array | np.ndarray, " n"], size: tuple[int, int], count: int
+) -> Float[Array | np.ndarray, "n k"]:
+    """The first ``count`` powers of the place at row-major ``pixels`` of a picture of ``size``, by
+    the library that these are of: NumPy compiles nothing for how many there are."""
     h, w = size
-    at = columns_rows(pixels, w, jnp.result_type(float))
-    x, y = 2 * (at[:, 0] + 0.5) / w - 1, 1 - 2 * (at[:, 1] + 0.5) / h
-    return jnp.stack(powers(x, y, count), -1)
+    x, y = 2 * (pixels % w + 0.5) / w - 1, 1 - 2 * (pixels // w + 0.5) / h
+    return pixels.__array_namespace__().stack(powers(x, y, count), -1)
 
 
 class DiscLight(AbstractModel):
@@ -265,7 +267,7 @@ class DiscLight(AbstractModel):
     def composite(self, light, size: tuple[int, int], pixels=None):
         """The light pass on the background: (h, w, c) or (n, c), without c where it is 1."""
         every = jnp.arange(size[0] * size[1]) if pixels is None else pixels
-        back = terms(every, size, self.background.shape[0]) @ self.background
+        back = jnp.asarray(terms(every, size, self.background.shape[0])) @ self.background
         back = back.reshape(*light.shape, -1)
         if self.convention.blend == "screen":
             out = back + light[..., None] - back * light[..., None]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
@@ -36,7 +35,7 @@ def explained(z, held, model: DiscLight, small: Picture) -> float:
     off = np.abs(small.levels - shrink(made, small.size))
     left = np.maximum(off - small.half, 0).max(-1).reshape(-1)[usable].mean()
     goal = small.levels.reshape(-1, small.channels)[usable].astype(np.float64)
-    basis = np.asarray(terms(jnp.asarray(usable), small.size, TERMS[3]), np.float64)
+    basis = terms(usable, small.size, TERMS[3])
     weight = np.ones(len(goal))
     for _ in range(10):
         root = np.sqrt(weight)[:, None]

@@ -36,14 +36,51 @@ HELD = 1 << 23
 
 
 class Shadows(NamedTuple):
-    """``mask`` (h, w), how open every texel is, and the ``step`` (q,) of what moved along, empty
-    where nothing was asked of the shadows."""
+    """``mask`` (h, w), how open every texel is, and the ``step`` (q,) of what moved along."""
 
     mask: np.ndarray
     step: np.ndarray
 
 
-def refined(
+class Question(NamedTuple):
+    """How open texels ``columns`` (m,) of ``picture.mask`` are: ``thought`` (m,) before, each worth
+    ``counts`` (m,). What the light pass is at row-major ``pixels`` (n,), less what is known of it,
+    is the ``goal`` (n,) in levels, and what they add to it the ``design`` (n, m); the picture is
+    changed by it by ``over`` (n, c) less. ``noise`` is in levels."""
+
+    picture: Picture
+    columns: np.ndarray
+    thought: np.ndarray
+    counts: np.ndarray
+    pixels: np.ndarray
+    goal: np.ndarray
+    design: sparse.csc_matrix
+    over: np.ndarray
+    noise: float
+
+    def answered(self, slopes: Callable[[np.ndarray], np.ndarray] | None = None) -> Shadows:
+        """``slopes`` of row-major pixels (n,), (q, n, c), are the derivatives of their levels by
+        what may move at the same time."""
+        picture, goal, design, noise = self.picture, self.goal, self.design, self.noise
+        moves = np.zeros((len(goal), 0), np.float32)
+        if slopes is not None:
+            moves = (slopes(self.pixels).astype(np.float64) / self.over).mean(-1)
+            moves = moves.T.astype(np.float32)
+        out = picture.mask.reshape(-1).copy()
+        share, step = out[self.columns] * self.counts, np.zeros(0)
+        weight = np.ones_like(goal)
+        each = noise**2 * len(goal) / (picture.size[0] * picture.size[1])
+        for _ in range(ROUNDS):
+            along = Along(moves, weight, noise)
+            share = lasso(design, goal, along, self.thought, share, PULL * each, FLIP * each)
+            step = along.step(goal - design @ share)
+            off = np.abs(goal - design @ share - moves @ step)
+            weight = np.minimum(1, noise * HUBER / np.maximum(off, 1e-9)).astype(np.float32)
+        out[self.columns] = share / self.counts
+        return Shadows(out.reshape(picture.mask.shape).astype(np.float32), step)
+
+
+def asked(
     model: DiscLight,
     picture: Picture,
     unknown: np.ndarray,
@@ -51,46 +88,29 @@ def refined(
     rows: int,
     seed: int,
     texture: float = 0.0,
-    slopes: Callable[[np.ndarray], np.ndarray] | None = None,
-) -> Shadows:
+) -> Question | None:
     """How open every texel is: ``picture.mask`` where it is known, between 0 and 1 where
     ``unknown``, up to what is as bright as the disc at its rim, by so many pixels (``rows``) of the
     picture. All are (h, w), the light pass's size, which may be less than the picture's.
-    ``texture`` is the background's, in levels.
-
-    ``slopes`` of row-major pixels (n,), (q, n, c), are the derivatives of their levels by what may
-    move at the same time."""
+    ``texture`` is the background's, in levels. None where nothing is unknown, or nothing is seen of
+    it."""
     h, w = picture.mask.shape[:2]
     rim, worth = _rim(model, (h, w))
     unknown = unknown | rim
     columns = np.flatnonzero(unknown)
     usable = np.flatnonzero(picture.valid & ~picture.clipped)
     if not len(columns) or len(usable) < 100:
-        return Shadows(picture.mask, np.zeros(0))
+        return None
     rng = np.random.default_rng(seed)
     pixels = np.sort(rng.permutation(usable)[: min(rows, _affordable(model, picture.size, (h, w)))])
     light, over = light_read(model, picture, pixels)
     known, design = _sums(model, pixels, picture, unknown)
     goal = (light - known * LEVELS).astype(np.float32)
-    moves = np.zeros((len(pixels), 0), np.float32)
-    if slopes is not None:
-        moves = (slopes(pixels).astype(np.float64) / over).mean(-1).T.astype(np.float32)
     counts = worth.ravel()[columns]
     design.data /= np.repeat(counts, np.diff(design.indptr))
     thought = prior.ravel()[columns].astype(np.float32) * counts
-    share = picture.mask.ravel()[columns].astype(np.float32) * counts
-    weight = np.ones_like(goal)
     noise = max(1.0, texture)
-    each = noise**2 * len(pixels) / (picture.size[0] * picture.size[1])
-    for _ in range(ROUNDS):
-        along = Along(moves, weight, noise)
-        share = lasso(design, goal, along, thought, share, PULL * each, FLIP * each)
-        step = along.step(goal - design @ share)
-        off = np.abs(goal - design @ share - moves @ step)
-        weight = np.minimum(1, noise * HUBER / np.maximum(off, 1e-9)).astype(np.float32)
-    out = picture.mask.reshape(-1).copy()
-    out[columns] = share / counts
-    return Shadows(out.reshape(h, w).astype(np.float32), step)
+    return Question(picture, columns, thought, counts, pixels, goal, design, over, noise)
 
 
 def light_read(
@@ -99,8 +119,8 @@ def light_read(
     """What the light pass is, in levels (n,), at row-major ``pixels`` (n,) of ``picture`` over the
     model's background, and by how much less (n, c) the picture is changed by it."""
     k, c = model.background.shape
-    back = np.array(terms(jnp.asarray(pixels), picture.size, k) @ model.background)
-    back *= model.convention.background_gain
+    back = terms(pixels, picture.size, k) @ np.asarray(model.background)
+    back = back * model.convention.background_gain
     over = np.maximum(1 - back, 0.05) if model.convention.blend == "screen" else np.ones_like(back)
     light = (picture.levels.reshape(-1, c)[pixels] / LEVELS - back) / over
     return LEVELS * light.mean(1).astype(np.float64), over

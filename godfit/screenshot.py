@@ -342,7 +342,7 @@ def with_background(
     known = np.isfinite(hi).all(1)
     if not known.any():
         return z
-    basis = np.asarray(terms(seen.pixels, seen.size, k))[known]
+    basis = terms(np.asarray(seen.pixels), seen.size, k)[known]
     goal = ((np.maximum(lo, 0) + hi) / 2)[known] / LEVELS - light[known, None]
     found = np.linalg.lstsq(basis, goal, rcond=None)[0]
     # Once more without the tenth that is farthest off.

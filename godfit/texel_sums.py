@@ -14,38 +14,43 @@ def texel_sums(texels, h, w, light, t, c, lit, values, place):
     where ``place`` (h w,) is -1, and the rest as a sparse matrix in columns ``place``."""
     known = np.zeros(len(texels))
     # Where a texel that is read more than once is kept.
-    kept = np.empty(len(place), np.int64)
+    kept = np.full(len(place), -1, np.int64)
     starts = np.zeros(len(texels) + 1, np.int32)
-    # Counted first, so that no more is held than is needed.
-    read, share = np.empty(0, np.int32), np.empty(0, np.float32)
-    for fill in (False, True):
-        if fill:
-            read, share = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.float32)
-        kept[:] = -1
-        end = 0
-        for n in range(len(texels)):
-            row, column = texels[n] // w, texels[n] % w
-            for k in range(len(t)):
-                x = column + t[k] * (light[0] - column)
-                y = row + t[k] * (light[1] - row)
-                left, low = np.floor(x), np.floor(y)
-                for corner in range(4):
-                    right, high = corner % 2, corner // 2
-                    i = min(max(int(left) + right, 0), w - 1)
-                    j = min(max(int(low) + high, 0), h - 1)
-                    at = j * w + i
-                    part_x = x - left if right else 1 - (x - left)
-                    part_y = y - low if high else 1 - (y - low)
-                    part = c[k] * part_x * part_y * lit[at]
-                    if place[at] < 0:
-                        known[n] += part * values[at] if fill else 0.0
-                        continue
-                    if kept[at] < starts[n]:
-                        kept[at] = end
-                        if fill:
-                            read[end], share[end] = place[at], part
-                        end += 1
-                    elif fill:
-                        share[kept[at]] += part
-            starts[n + 1] = end
-    return known, starts, read, share
+    read, share = np.empty(len(texels), np.int32), np.empty(len(texels), np.float32)
+    end = 0
+    for n in range(len(texels)):
+        # How much a ray reads is not known before: there is always room for one more.
+        if end + 4 * len(t) > len(read):
+            room = 2 * len(read) + 4 * len(t)
+            read, share = _moved(read[:end], room), _moved(share[:end], room)
+        row, column = texels[n] // w, texels[n] % w
+        for k in range(len(t)):
+            x = column + t[k] * (light[0] - column)
+            y = row + t[k] * (light[1] - row)
+            left, low = np.floor(x), np.floor(y)
+            for corner in range(4):
+                right, high = corner % 2, corner // 2
+                i = min(max(int(left) + right, 0), w - 1)
+                j = min(max(int(low) + high, 0), h - 1)
+                at = j * w + i
+                part_x = x - left if right else 1 - (x - left)
+                part_y = y - low if high else 1 - (y - low)
+                part = c[k] * part_x * part_y * lit[at]
+                if place[at] < 0:
+                    known[n] += part * values[at]
+                elif kept[at] < starts[n]:
+                    kept[at] = end
+                    read[end], share[end] = place[at], part
+                    end += 1
+                else:
+                    share[kept[at]] += part
+        starts[n + 1] = end
+    return known, starts, read[:end].copy(), share[:end].copy()
+
+
+@compiled
+def _moved(values, room):
+    """``values`` (n,) where there is room for so many."""
+    out = np.empty(room, values.dtype)
+    out[: len(values)] = values
+    return out

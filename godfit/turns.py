@@ -12,7 +12,7 @@ from godfit.disc import DiscLight
 from godfit.explained import predicted
 from godfit.likelihood import log_likelihood
 from godfit.observation import Observation, Picture, shrink
-from godfit.occluders import Shadows, price, refined
+from godfit.occluders import asked, price
 from godfit.solver import Point, linearise, solve
 
 # Solves of one noise, most, their steps, the relative changes that end them, and the share of the
@@ -106,22 +106,20 @@ class Turns:
             _, jacobian = linearise(z, self.held, scale, self.model, even.observe(pixels))
             return np.asarray(jacobian).reshape(len(z), len(pixels), -1)[self.free]
 
-        def under(slopes=None) -> Shadows:
-            return refined(
-                self.model.moved(z, self.held), here, unknown, read.thought, ROWS, self.seed,
-                self.texture, slopes,
-            )  # fmt: skip
-
-        mask, step = under(slopes)
-        if not len(step):
-            return read.with_mask(mask)
+        question = asked(
+            self.model.moved(z, self.held), here, unknown, read.thought, ROWS, self.seed,
+            self.texture,
+        )  # fmt: skip
+        if question is None:
+            return read
+        mask, step = question.answered(slopes)
         moved = z.copy()
         moved[self.free] += (step * scale[self.free]).astype(np.float32)
         there = read.with_mask(mask).at(self.inside(moved))
         # Where the tangent does not reach, the light stays for the time being.
         if self.surprisal(there) < REACH * self.surprisal(read):
             return there
-        return read.with_mask(under().mask)
+        return read.with_mask(question.answered().mask)
 
     def inside(self, coordinates: np.ndarray) -> np.ndarray:
         """The nearest (p,) that are within the model's bounds."""

@@ -18,7 +18,7 @@ from godfit.inputs import image, shrink_mask
 from godfit.likelihood import ANY_LEVEL, deviance_residuals, interval
 from godfit.models import Mitchell
 from godfit.observation import Picture
-from godfit.occluders import refined
+from godfit.occluders import asked
 from godfit.segment import panels, segments
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
@@ -179,7 +179,9 @@ def test_shadows_give_away_an_object_that_nothing_else_does(scale):
     levels = np.round(levels).clip(0, 255).astype(np.float32)
     nothing_known = np.ones_like(open_)
     picture = Picture(levels, 0.5, np.ones(SIZE, bool), nothing_known, None, "none")
-    found = refined(model, picture, unknown, nothing_known, 4000, 0).mask
+    question = asked(model, picture, unknown, nothing_known, 4000, 0)
+    assert question is not None
+    found = question.answered().mask
     inner = slice(int(32 * scale), int(42 * scale)), slice(int(78 * scale), int(84 * scale))
     assert found[inner].mean() < 0.25
     assert found[unknown & (open_ == 1)].mean() > 0.85

@@ -13,7 +13,7 @@ from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
 from godfit.lasso import Along, lasso
 from godfit.models import Mitchell
 from godfit.observation import Picture
-from godfit.occluders import FLIP, PULL, _sums, price, refined
+from godfit.occluders import FLIP, PULL, _sums, asked, price
 from godfit.solver import Point
 from godfit.turns import Read, Turns
 
@@ -87,7 +87,9 @@ def test_a_rim_may_be_cut_in_any_way(scale):
     levels = 255 * np.asarray(larger(jnp.asarray(open_), size=SIZE))
     levels = np.round(levels).clip(0, 255).astype(np.float32)
     picture = Picture(levels, 0.5, np.ones(SIZE, bool), open_, None, "none")
-    found = refined(smaller, picture, np.zeros(low, bool), open_, 4000, 0).mask
+    question = asked(smaller, picture, np.zeros(low, bool), open_, 4000, 0)
+    assert question is not None
+    found = question.answered().mask
     truth, thought, lit = (
         np.asarray(model.occlusion(jnp.asarray(mask)))
         for model, mask in ((larger, open_), (smaller, open_), (smaller, found))
@@ -137,7 +139,9 @@ def test_light_moves_along_with_the_shadows():
         together = turns.turn(together, turns.noise)
         at = model.moved(apart.point.coordinates, held)
         here = dataclasses.replace(picture, mask=apart.mask)
-        mask = refined(at, here, unknown, picture.mask, 4000, 0).mask
+        question = asked(at, here, unknown, picture.mask, 4000, 0)
+        assert question is not None
+        mask = question.answered().mask
         apart = turns.descended(apart.with_mask(mask), turns.noise)
 
     def off(read):
