@@ -42,9 +42,11 @@ def made(
     at: np.ndarray | None = None,
     shared: dict[str, float] | None = None,
     panel: bool = True,
+    tint: tuple[float, float, float] = (1.0, 1.0, 1.0),
 ) -> Screen:
     """The screenshot of a seed. ``at`` puts the light (texture coordinates) and ``shared`` shader
-    parameters where they are given, as in the frames of one clip, which have no ``panel``."""
+    parameters where they are given, as in the frames of one clip, which have no ``panel``. The
+    light pass of every channel is times its ``tint``."""
     rng = np.random.default_rng([seed, BACKGROUNDS.index(background)])
     h, w = size
     light = rng.uniform(-0.1, 1.1, 2)
@@ -89,7 +91,7 @@ def made(
     scale = float(rng.choice([1.0, 0.5]))
     low = mask if scale == 1 else shrink(mask, (h // 2, w // 2))
     unit = _light_pass(low, size, truth | {"exposure": 1.0}, shader, clamp=False)
-    room = (1 - painted.max(-1)) / np.maximum(unit, 1e-6)
+    room = ((1 - painted) / tint).min(-1) / np.maximum(unit, 1e-6)
     # Exposed so that so large a share of the picture is clipped, as people set it.
     exposure = float(np.quantile(room, clipped))
     while np.mean(room < 1.02 * exposure) > clipped + 0.01:
@@ -97,9 +99,8 @@ def made(
         exposure *= 0.97
     truth["exposure"] = exposure if shared is None else shared["exposure"]
     light_pass = _light_pass(low, size, truth, shader, clamp=scale != 1)
-    levels = (
-        np.floor(255 * np.clip(painted, 0, 1) + 0.5)
-        + np.floor(255 * np.clip(light_pass, 0, 1) + 0.5)[..., None]
+    levels = np.floor(255 * np.clip(painted, 0, 1) + 0.5) + np.floor(
+        255 * np.clip(light_pass[..., None] * tint, 0, 1) + 0.5
     )
     image = np.clip(levels, 0, 255).astype(np.uint8)
     panels = _panels(rng, image, centre * h) if panel else ()

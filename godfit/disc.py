@@ -1,9 +1,9 @@
 """A picture that comes with nothing: a disc light on a veil, what stands before them, a background.
 
-The occlusion mask is open * (veil + (1 - veil) disc): the light is white, a disc with a soft edge;
-the veil is the colour that the mask is cleared to; ``open`` is 0 where something stands in the way.
-The background is a polynomial of the place, of so low a degree as will do, linear in its
-coefficients.
+The occlusion mask is open * (veil + (1 - veil) disc): the light is a disc with a soft edge; the
+veil is what the mask is cleared to; ``open`` is 0 where something stands in the way. Light and veil
+are white, or of one colour. The background is a polynomial of the place, of so low a degree as will
+do, linear in its coefficients.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from godfit.models import FAINTEST, AbstractModel, Mitchell, Vector
 from godfit.parameters import SCATTERING, Parameter, light_parameters
 from godfit.radial.geometric import is_zero
 from godfit.taps import Convention, Taps
+from godfit.tinted import TINT
 from godfit.upsample import Texels, at_pixels
 
 SHAPE = (
@@ -63,9 +64,10 @@ class DiscLight(AbstractModel):
 
     ``shading`` holds the scattering and the light's place; ``shape`` (3,) is radius and edge, in
     picture heights, and veil; ``background`` (k, c) holds linear values at the middle of the
-    picture and coefficients of ``terms``. Coordinates are Mitchell's and then these numbers, but
-    that for gain and veil stand gain (1 - veil) and gain veil: the picture is linear in what the
-    disc and the veil add, while gain and veil trade in a bent valley.
+    picture and coefficients of ``terms``; ``tint`` (2,) is red and blue of the light against green,
+    (0,) if it is white. Coordinates are Mitchell's and then these numbers, but that for gain and
+    veil stand gain (1 - veil) and gain veil: the picture is linear in what the disc and the veil
+    add, while gain and veil trade in a bent valley.
     """
 
     name: ClassVar[str] = Mitchell.name
@@ -77,11 +79,20 @@ class DiscLight(AbstractModel):
     shading: Mitchell
     shape: Float[Array, " 3"]
     background: Float[Array, "k c"]
+    tint: Float[Array, " t"]
 
-    def __init__(self, shading, shape, background):
+    def __init__(self, shading, shape, background, tint=()):
         self.shading = shading
         self.shape = jnp.asarray(shape, float)
         self.background = jnp.atleast_2d(jnp.asarray(background, float))
+        self.tint = jnp.asarray(tint, float)
+
+    @property
+    def colour(self) -> Float[Array, " c"]:
+        """The light's, by channel."""
+        if not self.tint.size:
+            return jnp.ones(self.background.shape[1], self.tint.dtype)
+        return jnp.stack([self.tint[0], jnp.ones_like(self.tint[0]), self.tint[1]])
 
     @property
     def settings(self) -> dict[str, str | int | float]:
@@ -117,6 +128,7 @@ class DiscLight(AbstractModel):
             for channel in CHANNELS if c == 3 else ("",):
                 name = "_".join(filter(None, ("background", channel, place)))
                 rows.append(Parameter(name, "", "1", -np.inf, np.inf, "of the ordinary pass"))
+        rows += TINT[: self.tint.size]
         return {row.name: row for row in rows}
 
     @property
@@ -125,7 +137,7 @@ class DiscLight(AbstractModel):
 
     def values(self) -> dict[str, Float[Array, ""]]:
         numbers = [
-            *self.shading.values().values(), *self.shape, *self.background.reshape(-1)
+            *self.shading.values().values(), *self.shape, *self.background.reshape(-1), *self.tint
         ]  # fmt: skip
         return dict(zip(self.parameters, numbers, strict=True))
 
@@ -134,7 +146,7 @@ class DiscLight(AbstractModel):
         gain = scattering[GAIN]
         scattering = scattering.at[GAIN].set(gain * (1 - veil))
         shape = jnp.stack([radius, edge, gain * veil])
-        return jnp.concatenate([scattering, shape, self.background.reshape(-1)])
+        return jnp.concatenate([scattering, shape, self.background.reshape(-1), self.tint])
 
     def moved(self, coordinates: Vector, held: Vector | None = None) -> DiscLight:
         coordinates = jnp.asarray(coordinates)
@@ -154,18 +166,20 @@ class DiscLight(AbstractModel):
         veil = jnp.where(veil > 1, 1.0, jnp.maximum(veil, 0.0))
         rest = jnp.where(free[6:], coordinates[6:], held[6:])
         shape = rest[:3].at[2].set(jnp.where(free[VEIL], veil, held[VEIL]))
-        at = (shading, shape, rest[3:].reshape(self.background.shape))
-        return eqx.tree_at(lambda m: (m.shading, m.shape, m.background), self, at)
+        background, tint = jnp.split(rest[3:], [self.background.size])
+        at = (shading, shape, background.reshape(self.background.shape), tint)
+        return eqx.tree_at(lambda m: (m.shading, m.shape, m.background, m.tint), self, at)
 
     def bounds(self) -> tuple[list[float], list[float]]:
         lower, upper = self.shading.bounds()
-        count = self.background.size
+        count, tint = self.background.size, self.tint.size
         inf = float("inf")
-        return lower + [1e-3, 1e-6, 0.0] + [-inf] * count, upper + [2.0, 0.5, inf] + [inf] * count
+        lower = [*lower, 1e-3, 1e-6, 0.0, *[-inf] * count, *[0.0] * tint]
+        return lower, [*upper, 2.0, 0.5, inf, *[inf] * (count + tint)]
 
     def linear(self) -> np.ndarray:
-        index = np.arange(FIRST + self.background.size)
-        return (index == 0) | (index >= FIRST)
+        index = np.arange(FIRST + self.background.size + self.tint.size)
+        return (index == 0) | (index >= FIRST) & (index < FIRST + self.background.size)
 
     def scales(self, coordinates: np.ndarray) -> np.ndarray:
         rest = np.full(len(coordinates) - 6, 0.02, np.float32)
@@ -269,10 +283,11 @@ class DiscLight(AbstractModel):
         every = jnp.arange(size[0] * size[1]) if pixels is None else pixels
         back = jnp.asarray(terms(every, size, self.background.shape[0])) @ self.background
         back = back.reshape(*light.shape, -1)
+        light = light[..., None] * self.colour.reshape((1,) * light.ndim + (-1,))
         if self.convention.blend == "screen":
-            out = back + light[..., None] - back * light[..., None]
+            out = back + light - back * light
         else:
-            out = self.convention.background_gain * back + light[..., None]
+            out = self.convention.background_gain * back + light
         return out if out.shape[-1] > 1 else out[..., 0]
 
 

@@ -45,8 +45,9 @@ class Shadows(NamedTuple):
 class Question(NamedTuple):
     """How open texels ``columns`` (m,) of ``picture.mask`` are: ``thought`` (m,) before, each worth
     ``counts`` (m,). What the light pass is at row-major ``pixels`` (n,), less what is known of it,
-    is the ``goal`` (n,) in levels, and what they add to it the ``design`` (n, m); the picture is
-    changed by it by ``over`` (n, c) less. ``noise`` is in levels."""
+    is the ``goal`` (n,) in levels, and what they add to it the ``design`` (n, m); where the picture
+    is another, the light pass is by the sum of ``weights`` (n, c) times that. ``noise`` is in
+    levels."""
 
     picture: Picture
     columns: np.ndarray
@@ -55,7 +56,7 @@ class Question(NamedTuple):
     pixels: np.ndarray
     goal: np.ndarray
     design: sparse.csc_matrix
-    over: np.ndarray
+    weights: np.ndarray
     noise: float
 
     def answered(self, slopes: Callable[[np.ndarray], np.ndarray] | None = None) -> Shadows:
@@ -64,8 +65,7 @@ class Question(NamedTuple):
         picture, goal, design, noise = self.picture, self.goal, self.design, self.noise
         moves = np.zeros((len(goal), 0), np.float32)
         if slopes is not None:
-            moves = (slopes(self.pixels).astype(np.float64) / self.over).mean(-1)
-            moves = moves.T.astype(np.float32)
+            moves = (slopes(self.pixels) * self.weights).sum(-1).T.astype(np.float32)
         out = picture.mask.reshape(-1).copy()
         share, step = out[self.columns] * self.counts, np.zeros(0)
         weight = np.ones_like(goal)
@@ -103,27 +103,30 @@ def asked(
         return None
     rng = np.random.default_rng(seed)
     pixels = np.sort(rng.permutation(usable)[: min(rows, _affordable(model, picture.size, (h, w)))])
-    light, over = light_read(model, picture, pixels)
+    light, weights = light_read(model, picture, pixels)
     known, design = _sums(model, pixels, picture, unknown)
     goal = (light - known * LEVELS).astype(np.float32)
     counts = worth.ravel()[columns]
     design.data /= np.repeat(counts, np.diff(design.indptr))
     thought = prior.ravel()[columns].astype(np.float32) * counts
     noise = max(1.0, texture)
-    return Question(picture, columns, thought, counts, pixels, goal, design, over, noise)
+    return Question(picture, columns, thought, counts, pixels, goal, design, weights, noise)
 
 
 def light_read(
     model: DiscLight, picture: Picture, pixels: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """What the light pass is, in levels (n,), at row-major ``pixels`` (n,) of ``picture`` over the
-    model's background, and by how much less (n, c) the picture is changed by it."""
+    model's background: the sum of ``weights`` (n, c), returned as well, times what is over it."""
     k, c = model.background.shape
     back = terms(pixels, picture.size, k) @ np.asarray(model.background)
     back = back * model.convention.background_gain
+    colour = np.asarray(model.colour, np.float64)
+    colour = colour / (colour @ colour)
     over = np.maximum(1 - back, 0.05) if model.convention.blend == "screen" else np.ones_like(back)
-    light = (picture.levels.reshape(-1, c)[pixels] / LEVELS - back) / over
-    return LEVELS * light.mean(1).astype(np.float64), over
+    weights = colour / over
+    light = (picture.levels.reshape(-1, c)[pixels] - LEVELS * back) * weights
+    return light.sum(1), weights
 
 
 def texels_of(

@@ -22,7 +22,7 @@ from godfit.explained import explained, grain
 from godfit.image import Image
 from godfit.models import Mitchell
 from godfit.observation import LEVELS, Observation, Picture
-from godfit.segment import Segments, grown, panels, segments
+from godfit.segment import Segments, grown, light_colour, panels, segments
 from godfit.side_by_side import side_by_side
 from godfit.solver import Point, solve
 from godfit.turns import Read, Turns
@@ -50,6 +50,8 @@ COARSE, AGAIN = 8.0, 4
 SMOOTH = 1.5
 # Noise in levels allowed for in turns of light and shadows, on the small copy and on a finer one.
 SIGMAS, FINER = (2.0, 1.0, 1.0, 0.5), (0.5, 0.5)
+# Texture in levels next to which the light is taken to be white.
+TEXTURE = 1.5
 # Share of the picture that must be background for the rest to be objects.
 LEAST = 0.03
 # Starts whose lights lie within so much of the picture agree.
@@ -60,12 +62,14 @@ SHARP = 0.002
 
 class Reading(NamedTuple):
     """``picture`` with ``mask`` 1 where it is open; ``unknown`` (h, w) is what shadows decide;
-    ``panels`` as (x, y, width, height); ``degree`` of the background."""
+    ``panels`` as (x, y, width, height); ``degree`` of the background; ``tint`` of the light, (2,)
+    or, where it is white, (0,)."""
 
     picture: Picture
     unknown: np.ndarray
     panels: list[tuple[int, int, int, int]]
     degree: int
+    tint: np.ndarray
 
 
 class End(NamedTuple):
@@ -95,7 +99,8 @@ def read(target: Image, valid: np.ndarray | None, occluder: np.ndarray | None) -
     size = target.values.shape[:2]
     picture = Picture.make(target, np.ones(size, np.float32), None, valid)
     picture = dataclasses.replace(picture, foreign=FOREIGN)
-    found = segments(picture.levels, picture.half, picture.valid)
+    colour = _light_colour(picture)
+    found = segments(picture.levels, picture.half, picture.valid, colour)
     lying = panels(found.other | found.doubtful, picture.levels)
     open_, silent, unknown = _sorted_out(picture, found, lying)
     if (picture.valid & ~silent).mean() < LEAST:
@@ -106,7 +111,15 @@ def read(target: Image, valid: np.ndarray | None, occluder: np.ndarray | None) -
         silent |= grown(occluder, 2)
         unknown &= ~occluder
     picture = dataclasses.replace(picture, mask=open_, valid=picture.valid & ~silent)
-    return Reading(picture, unknown, lying, 0 if found.variation < SMOOTH else 2)
+    tint = colour[[0, 2]] if np.any(colour != 1) else np.zeros(0)
+    return Reading(picture, unknown, lying, 0 if found.variation < SMOOTH else 2, tint)
+
+
+def _light_colour(picture: Picture) -> np.ndarray:
+    """The light's (c,). Texture has a colour of its own, which hides it."""
+    if grain(picture) > TEXTURE:
+        return np.ones(picture.channels)
+    return light_colour(picture.levels, picture.half, picture.valid)
 
 
 def _sorted_out(picture: Picture, found: Segments, lying: list[tuple[int, int, int, int]]):
@@ -122,15 +135,15 @@ def _sorted_out(picture: Picture, found: Segments, lying: list[tuple[int, int, i
     return open_, silent, unknown
 
 
-def template(shading: Mitchell, channels: int, degree: int) -> DiscLight:
-    """The model at no particular point."""
-    return DiscLight(shading, [0.1, 0.003, 0.05], np.zeros((TERMS[degree], channels)))
+def template(shading: Mitchell, channels: int, degree: int, tint) -> DiscLight:
+    """The model at no particular point, but for the light's ``tint`` (t,)."""
+    return DiscLight(shading, [0.1, 0.003, 0.05], np.zeros((TERMS[degree], channels)), tint)
 
 
 def _with_taps(model: DiscLight, most: int) -> DiscLight:
     """The same picture with no more than so many taps a ray."""
     shading = dataclasses.replace(model.shading, samples=min(model.samples, most))
-    return DiscLight(shading, model.shape, model.background)
+    return DiscLight(shading, model.shape, model.background, model.tint)
 
 
 def _at_taps(held: np.ndarray, model: DiscLight, fewer: DiscLight) -> np.ndarray:
@@ -146,16 +159,16 @@ def look(
     reading: Reading,
     shading: Mitchell,
     given: Mapping[str, float],
-    held: Callable[[DiscLight], np.ndarray],
+    held: np.ndarray,
     seed: int,
     say: Callable[[str], None],
 ) -> Look:
-    """Search on a small copy. ``given`` parameters are not searched for; ``held(model)`` (p,) are
-    those held, NaN where free."""
+    """Search on a small copy. ``given`` parameters are not searched for; ``held`` (p,) are those
+    held, NaN where free."""
     picture = reading.picture
     small = picture.shrunk(-(-max(picture.size) // SIDE))
-    full = template(shading, picture.channels, reading.degree)
-    fixed = held(full).copy()
+    full = template(shading, picture.channels, reading.degree, reading.tint)
+    fixed = held.copy()
     free = np.isnan(fixed)
     if free[EDGE]:
         # Discs are drawn with hard edges; a soft one looks much like another place of the light.
@@ -321,7 +334,8 @@ def enlarged(mask: np.ndarray, before: np.ndarray, fine: np.ndarray) -> np.ndarr
 
 def coordinates_of(start: Mapping[str, float], model: DiscLight) -> np.ndarray:
     """Coordinates of what the screening found; the background is left out."""
-    disc, veil = (start[name] / model.convention.gain for name in ("gain", "veil_gain"))
+    unit = model.convention.gain * float(model.colour.mean())
+    disc, veil = (start[name] / unit for name in ("gain", "veil_gain"))
     both = max(disc + veil, 1e-2)
     veil = float(np.clip(veil, 0.003 * both, 0.5 * both))
     weight = model.shading.defaults.get("weight", 0.8)
@@ -329,7 +343,7 @@ def coordinates_of(start: Mapping[str, float], model: DiscLight) -> np.ndarray:
     place = start["light_x"], start["light_y"]
     first = [exposure, start["kappa"], start["density"], both - veil, *place]
     rest = np.zeros(model.background.size)
-    return np.array([*first, start["radius"], 0.004, veil, *rest], np.float32)
+    return np.array([*first, start["radius"], 0.004, veil, *rest, *model.tint], np.float32)
 
 
 def with_background(
@@ -343,14 +357,15 @@ def with_background(
     if not known.any():
         return z
     basis = terms(np.asarray(seen.pixels), seen.size, k)[known]
-    goal = ((np.maximum(lo, 0) + hi) / 2)[known] / LEVELS - light[known, None]
+    goal = ((np.maximum(lo, 0) + hi) / 2)[known] / LEVELS
+    goal = goal - light[known, None] * np.asarray(model.colour)
     found = np.linalg.lstsq(basis, goal, rcond=None)[0]
     # Once more without the tenth that is farthest off.
     off = np.abs(goal - basis @ found).max(1)
     close = off <= np.quantile(off, 0.9)
     found = np.linalg.lstsq(basis[close], goal[close], rcond=None)[0]
     z = z.copy()
-    z[FIRST:] = found.reshape(-1)
+    z[FIRST : FIRST + found.size] = found.reshape(-1)
     return z.astype(np.float32)
 
 

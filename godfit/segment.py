@@ -1,9 +1,10 @@
 """What of a finished picture is open background, and what stands in the way or lies on top.
 
-Light adds the same to every channel, so that whatever the rays do, an open pixel keeps the
+White light adds the same to every channel, so that whatever the rays do, an open pixel keeps the
 differences between the channels of its background; an object of another colour does not. The
 differences are a smooth field, fitted robustly; clipped channels say only that their value is at
-least so much.
+least so much. Of a light of a colour channels change in a ratio: it is the one for which most of
+the picture has such a field.
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ SHARP = 10.0
 # Regions smaller than this share of the picture are told apart from nothing.
 SPECK = 2e-5
 PIXELS = 20_000
+# The light has a colour if channels change in another ratio by so much. Pixels are explained if
+# they are no more levels off, and a ratio is believed that explains so large a share of them.
+COLOURED, NEAR, MOST = 0.015, 1.5, 0.7
 
 
 class Segments(NamedTuple):
@@ -37,9 +41,24 @@ class Segments(NamedTuple):
     variation: float
 
 
-def field(values: np.ndarray, known: np.ndarray, degree: int, rounds: int = 30):
-    """A polynomial of the place through most of ``values`` (h, w) where ``known``: the field (h, w)
-    and the spread about it. Cauchy weights, their width lowered to the spread."""
+class Field(NamedTuple):
+    """A polynomial of the place and ``slope`` times what it was to go along with: what it is over
+    the picture (h, w), and the ``spread`` of the values about it."""
+
+    whole: np.ndarray
+    spread: float
+    slope: float
+
+
+def field(
+    values: np.ndarray,
+    known: np.ndarray,
+    degree: int,
+    along: np.ndarray | None = None,
+    rounds: int = 30,
+) -> Field:
+    """Through most of ``values`` (h, w) where ``known``: a polynomial of the place, and a multiple
+    of ``along`` (h, w) if there is one. Cauchy weights, their width lowered to the spread."""
     h, w = values.shape
     at = np.flatnonzero(known)
     if len(at) > PIXELS:
@@ -47,11 +66,16 @@ def field(values: np.ndarray, known: np.ndarray, degree: int, rounds: int = 30):
     x, y = 2 * (at % w + 0.5) / w - 1, 1 - 2 * (at // w + 0.5) / h
     basis = np.stack(powers(x, y, TERMS[degree]), -1)
     goal = values.reshape(-1)[at].astype(np.float64)
+    coefficients = np.zeros(TERMS[degree] + (along is not None))
+    left = goal
+    if along is not None:
+        basis = np.column_stack([basis, along.reshape(-1)[at]])
+        coefficients[-1] = 1.0
+        left = goal - basis[:, -1]
     # The commonest value to begin with.
-    counts, ends = np.histogram(goal, bins=np.arange(goal.min() - 1, goal.max() + 3, 2.0))
+    counts, ends = np.histogram(left, bins=np.arange(left.min() - 1, left.max() + 3, 2.0))
     counts = ndimage.uniform_filter1d(counts.astype(float), 3)
     best = int(counts.argmax())
-    coefficients = np.zeros(basis.shape[1])
     coefficients[0] = (ends[best] + ends[best + 1]) / 2
     width = 40.0
     for _ in range(rounds):
@@ -66,22 +90,51 @@ def field(values: np.ndarray, known: np.ndarray, degree: int, rounds: int = 30):
     px, py = 2 * (columns + 0.5) / w - 1, 1 - 2 * (rows + 0.5) / h
     across, down = np.meshgrid(px, py)
     whole = np.zeros((h, w))
-    for coefficient, power in zip(coefficients, powers(across, down, TERMS[degree]), strict=True):
+    for coefficient, power in zip(coefficients, powers(across, down, TERMS[degree]), strict=False):
         whole += coefficient * power
-    return whole, max(spread, 0.3)
+    slope = 0.0 if along is None else float(coefficients[-1])
+    return Field(whole if along is None else whole + slope * along, max(spread, 0.3), slope)
 
 
-def segments(levels: np.ndarray, half: float, valid: np.ndarray) -> Segments:
-    """Regions of a picture (h, w, c) in levels; ``half`` is half the step between two levels."""
+def light_colour(levels: np.ndarray, half: float, valid: np.ndarray) -> np.ndarray:
+    """The light's (c,), green 1, in a picture (h, w, c) in levels; ones where it is white, or
+    nothing is known of it. ``half`` is half the step between two levels."""
+    channels = levels.shape[-1]
+    white = np.ones(channels)
+    if channels != 3:
+        return white
+    colour = np.ones(3)
+    top, bottom = levels >= LEVELS - half - 0.5, levels <= half
+    for a, b in ((0, 1), (2, 1)):
+        known = valid & ~(top[..., a] | top[..., b] | bottom[..., a] | bottom[..., b])
+        if known.mean() < 0.02:
+            return white
+        one, other = levels[..., a].astype(np.float64), levels[..., b].astype(np.float64)
+        found = field(one, known, 2, other)
+        near = np.abs(one - found.whole)[known] < NEAR * max(1.0, found.slope)
+        if found.slope <= 0 or near.mean() < MOST:
+            return white
+        colour[a] = found.slope
+    return colour if np.abs(colour - 1).max() > COLOURED else white
+
+
+def segments(
+    levels: np.ndarray, half: float, valid: np.ndarray, colour: np.ndarray | None = None
+) -> Segments:
+    """Regions of a picture (h, w, c) in levels; ``half`` is half the step between two levels,
+    ``colour`` (c,) the light's, white if it is not given."""
     h, w, channels = levels.shape
     top, bottom = levels >= LEVELS - half - 0.5, levels <= half
     other, noise, variation = np.zeros((h, w), bool), 0.3, 0.0
-    for a, b in ((0, 1), (2, 1)) if channels == 3 else ():
+    colour = np.ones(channels) if colour is None else colour
+    # Against the channel that is lit most, next to which no other's rounding is enlarged.
+    b = max((1, 0, 2), key=lambda channel: colour[channel]) if channels == 3 else 0
+    for a in (i for i in range(channels) if i != b):
         known = valid & ~(top[..., a] | top[..., b] | bottom[..., a] | bottom[..., b])
         if known.mean() < 0.02:
             continue
-        difference = levels[..., a].astype(np.float64) - levels[..., b]
-        expected, spread = field(difference, known, 2)
+        difference = levels[..., a].astype(np.float64) - colour[a] / colour[b] * levels[..., b]
+        expected, spread, _ = field(difference, known, 2)
         noise, variation = max(noise, spread), max(variation, float(expected.std()))
         limit = max(LEAST, SPREADS * spread)
         off = difference - expected

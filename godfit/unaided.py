@@ -15,8 +15,8 @@ import numpy as np
 from scipy import ndimage
 
 from godfit import inputs, screenshot, search
-from godfit.beside import NEAR, best_around, hardened, softened, solved
-from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL, DiscLight
+from godfit.beside import NEAR, SOME, best_around, hardened, softened, solved
+from godfit.disc import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL, DiscLight
 from godfit.errors import InputError
 from godfit.explained import grain, predicted
 from godfit.image import Image
@@ -90,12 +90,13 @@ def found_in(
         for x, y, w, h in reading.panels
     )
 
-    def held_by(model: DiscLight) -> np.ndarray:
-        return inputs.parameters(model, fix, start)[1]
-
-    model = screenshot.template(shading, reading.picture.channels, reading.degree)
+    model = screenshot.template(shading, reading.picture.channels, reading.degree, reading.tint)
     given, held = inputs.parameters(model, fix, start)
-    looked = screenshot.look(reading, shading, given, held_by, seed, say)
+    tint = slice(len(held) - len(reading.tint), None)
+    free_tint = np.isnan(held[tint])
+    # What it was read as will do until the rest is known.
+    held[tint] = np.where(free_tint, reading.tint, held[tint])
+    looked = screenshot.look(reading, shading, given, held, seed, say)
     model, picture = looked.model, reading.picture
     best = looked.ends[0]
     opened: list[tuple[int, list[int]]] = []
@@ -123,6 +124,8 @@ def found_in(
         read = turns.turned(read, TURNS)
         if free[EDGE]:
             turns, read = softened(turns, read)
+        if free_tint.any():
+            turns, read = _coloured(turns, read, free_tint)
     else:
         at = Point(best.coordinates, np.inf, False, 0)
         begin = Read.of(at, inputs.shrink_mask(first, pass_scale or 1.0), seen)
@@ -210,15 +213,23 @@ def _finer_background(
     k, c = turns.model.background.shape
     if k == 1:
         return turns, read, doubts
-    more = (TERMS[FINER] - k) * c
+    more, end = (TERMS[FINER] - k) * c, FIRST + k * c
 
     def longer(values: np.ndarray, by: float = 0) -> np.ndarray:
-        return np.append(values, np.full(more, by, values.dtype))
+        return np.insert(values, end, np.full(more, by, values.dtype))
 
-    model = screenshot.template(turns.model.shading, c, FINER)
+    model = screenshot.template(turns.model.shading, c, FINER, turns.model.tint)
     free, held = longer(turns.free, True), longer(turns.held, np.nan)
     turns = dataclasses.replace(turns, model=model, free=free, held=held)
     return turns, read.at(longer(read.point.coordinates)), [longer(doubt) for doubt in doubts]
+
+
+def _coloured(turns: Turns, read: Read, which: np.ndarray) -> tuple[Turns, Read]:
+    """With those of the light's colour, ``which`` (t,), free that were held."""
+    free, held = turns.free.copy(), turns.held.copy()
+    free[-len(which) :], held[-len(which) :] = which, np.where(which, np.nan, held[-len(which) :])
+    turns = dataclasses.replace(turns, free=free, held=held)
+    return turns, turns.turned(turns.solved(read, turns.noise), SOME)
 
 
 def _rivals(mask: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -19,7 +19,7 @@ from godfit.likelihood import ANY_LEVEL, deviance_residuals, interval
 from godfit.models import Mitchell
 from godfit.observation import Picture
 from godfit.occluders import asked
-from godfit.segment import panels, segments
+from godfit.segment import light_colour, panels, segments
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
 from screens import made
@@ -27,12 +27,15 @@ from screens import made
 SIZE = (90, 160)
 
 
-def disc_model(terms=1, samples=40):
+ORANGE = (1.4, 0.6)
+
+
+def disc_model(terms=1, samples=40, tint=()):
     shading = Mitchell(0.05, 0.98, 0.8, 0.7, [0.4513, 0.6071], "dawntime", samples)
     background = np.zeros((terms, 3))
     background[0] = 0.1, 0.2, 0.3
     background[1:] = 0.02
-    return DiscLight(shading, [0.15, 0.01, 0.06], background)
+    return DiscLight(shading, [0.15, 0.01, 0.06], background, tint)
 
 
 def beside_panels(screen):
@@ -79,8 +82,9 @@ def test_mask_is_a_disc_on_a_veil_behind_what_is_open():
 
 
 def test_derivatives_agree_with_differences():
-    """Of every coordinate, the background's that the light pass does not depend on among them."""
-    model, open_ = disc_model(terms=6), jnp.ones(SIZE).at[30:60, 60:75].set(0.0)
+    """Of every coordinate, the background's and the tint, that the light pass does not depend on,
+    among them."""
+    model, open_ = disc_model(6, tint=ORANGE), jnp.ones(SIZE).at[30:60, 60:75].set(0.0)
     pixels = jnp.asarray(np.random.default_rng(0).permutation(90 * 160)[:200])
     z = np.asarray(model.coordinates(), np.float64)
 
@@ -133,9 +137,9 @@ def test_the_picture_is_linear_in_what_disc_and_veil_add():
     np.testing.assert_allclose(picture(0.6, 0.15), both, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["veil", "weight"])
+@pytest.mark.parametrize("name", ["veil", "weight", "blue"])
 def test_what_is_held_stays_and_the_rest_comes_back(name):
-    model = disc_model()
+    model = disc_model(tint=ORANGE)
     held = np.full(len(model.parameters), np.nan)
     held[list(model.parameters).index(name)] = float(model.values()[name])
     again = model.moved(model.coordinates(), held).values()
@@ -143,18 +147,23 @@ def test_what_is_held_stays_and_the_rest_comes_back(name):
         np.testing.assert_allclose(again[key], value, rtol=1e-9, err_msg=key)
 
 
-def test_another_colour_and_panels_are_told_from_the_background():
-    """Light changes no differences of channels, objects do; a clipped channel only bounds them."""
+@pytest.mark.parametrize("colour", [(1, 1, 1), (1.4, 1, 0.6), (0.3, 1, 0.9)])
+def test_another_colour_and_panels_are_told_from_the_background(colour):
+    """Light changes channels in its own ratio, objects do not; a clipped channel only bounds
+    them."""
     rng = np.random.default_rng(1)
     x, y = np.meshgrid(np.linspace(0, 1, 160), np.linspace(0, 1, 90))
     ground = np.stack([40 + 20 * x, 70 + 10 * y, 90 - 15 * x], -1)
     light = 400 * np.exp(-((x - 0.6) ** 2 + (y - 0.5) ** 2) / 0.05)
     solid = np.hypot(x - 0.3, (y - 0.5) * 0.6) < 0.1
-    picture = np.where(solid[..., None], (60.0, 40, 30), ground) + light[..., None]
+    picture = np.where(solid[..., None], (60.0, 40, 30), ground) + light[..., None] * colour
     picture = np.floor(picture + rng.uniform(0, 1, (90, 160, 1))).clip(0, 255)
     picture[5:45, 120:155] = 33
     picture[10:14, 125:150] = 200
-    found = segments(picture, 0.5, np.ones(SIZE, bool))
+    known = np.ones(SIZE, bool)
+    read = light_colour(picture, 0.5, known)
+    np.testing.assert_allclose(read, colour, atol=0 if colour == (1, 1, 1) else 0.01)
+    found = segments(picture, 0.5, known, read)
     expected = solid.copy()
     expected[5:45, 120:155] = True
     glare = picture.min(-1) >= 254
@@ -164,11 +173,13 @@ def test_another_colour_and_panels_are_told_from_the_background():
     assert np.abs(np.array([left, top, wide, tall]) - [120, 5, 35, 40]).max() <= 1
 
 
-@pytest.mark.parametrize("scale", [1.0, 0.5], ids=["whole", "half"])
-def test_shadows_give_away_an_object_that_nothing_else_does(scale):
+@pytest.mark.parametrize(
+    ("scale", "tint"), [(1.0, ()), (0.5, ()), (1.0, ORANGE)], ids=["whole", "half", "coloured"]
+)
+def test_shadows_give_away_an_object_that_nothing_else_does(scale, tint):
     """An object of the background's own colour: with the light known, its shadow places it, in a
-    light pass of the picture's size or of half."""
-    model, h, w = disc_model(), *SIZE
+    light pass of the picture's size or of half, of white light or of another."""
+    model, h, w = disc_model(tint=tint), *SIZE
     open_ = np.ones(SIZE, np.float32)
     open_[28:46, 76:88] = 0
     unknown = np.zeros(SIZE, np.float32)
@@ -267,12 +278,11 @@ def test_light_explains_rays_and_nothing_else(screen):
     picture = (cells[..., None] + [0, 20, 40]).astype(np.uint8)
     reading = screenshot.read(image(picture, "none"), None, None)
 
-    def nothing_held(model):
-        return np.full(len(model.parameters), np.nan, np.float32)
-
     shading = Mitchell(1, 0.9, 0.5, 0.5, [0.5, 0.5], "dawntime", result.model.samples)
+    parameters = screenshot.template(shading, 3, reading.degree, reading.tint).parameters
+    held = np.full(len(parameters), np.nan, np.float32)
     with jax.enable_x64(False):
-        looked = screenshot.look(reading, shading, {}, nothing_held, 0, lambda text: None)
+        looked = screenshot.look(reading, shading, {}, held, 0, lambda text: None)
     assert looked.explained < unaided.RAYS
 
 
