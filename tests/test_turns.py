@@ -9,6 +9,7 @@ from scipy import sparse
 from scipy.optimize import minimize
 
 from godfit import beside
+from godfit import lasso as lasso_module
 from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
 from godfit.lasso import Along, lasso
 from godfit.models import Mitchell
@@ -57,6 +58,36 @@ def test_shadows_and_what_moves_along_are_the_best_together(moving, flip):
     assert (share == thought).any() == (flip > 0)
 
 
+def test_shares_that_are_nearly_alike_are_found(monkeypatch):
+    """Texels along one ray add almost the same: one after the other they creep for thousands of
+    sweeps, together they are found in a few."""
+    rng = np.random.default_rng(0)
+    apart = np.abs(np.arange(120)[:, None] * 4 - np.arange(480)) < 60
+    design = sparse.csc_matrix(apart.T * rng.uniform(0.9, 1.1, (480, 120)))
+    truth = np.where(rng.uniform(size=120) < 0.3, rng.uniform(0, 1, 120), 1)
+    goal = design @ truth + 0.1 * rng.normal(size=480)
+    along = Along(np.zeros((480, 0)), np.ones(480), 1.0)
+    thought, pull, flip = np.ones(120), 1e-3, 0.05
+
+    def cost(share):
+        off, change = goal - design @ share, share - 1
+        # None is more than it was thought to be, so that what it costs has one slope.
+        slope = -design.T @ off + pull * change - flip
+        return (off @ off + pull * change @ change) / 2 - flip * change.sum(), slope
+
+    bounds = [(0, 1)] * 120
+    options = {"maxiter": 100_000, "maxfun": 100_000, "ftol": 1e-15, "gtol": 1e-9}
+    best = minimize(cost, thought, jac=True, bounds=bounds, options=options)
+    above = []
+    for many in (lasso_module.MANY, 0):
+        monkeypatch.setattr(lasso_module, "MANY", many)
+        found = lasso(design, goal, along, thought, thought, pull, flip)
+        above.append((cost(found)[0] - best.fun) / flip)
+    solved, swept = above
+    assert solved < 0.25
+    assert swept > 0.5
+
+
 @pytest.mark.parametrize("scale", [1, 2])
 def test_what_every_texel_adds_is_the_light_pass(scale):
     """Known and unknown texels together, of a pass of the picture's size and of half of it."""
@@ -98,7 +129,7 @@ def test_a_rim_may_be_cut_in_any_way(scale):
     assert rim.sum() > 10
     assert lit.max() == 1
     assert np.abs(lit - truth)[rim].mean() < 0.1 * np.abs(thought - truth)[rim].mean()
-    assert np.abs(lit - truth)[~rim].max() < 0.2
+    assert np.abs(lit - truth)[~rim].max() < 0.25
     brighter = np.where(rim, 1 / thought, 1)
     cost = rim.sum() * (FLIP * 0.94 + PULL / 2 * 0.94**2)
     np.testing.assert_allclose(price(smaller, brighter, open_, 0.3), 0.3 * cost, rtol=1e-4)
