@@ -4,8 +4,9 @@
 
 For every screenshot: the light's error as a share of the picture, errors of decay^samples (share),
 density and exposure*weight*samples (share), the same over what was quoted, and what the fit says of
-itself. Panels are given with --ignore, as a user would. Kind "rayless": pictures with no rays in
-them, of which it is asked whether the fit says so.
+itself. Panels are given with --ignore, as a user would. Kind "photograph": rays of all that is
+bright, read with --bright-pass. Kind "rayless": pictures with no rays in them, of which it is asked
+whether the fit says so.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
 
+import photographs  # pyright: ignore[reportMissingImports]
 from screens import (  # pyright: ignore[reportMissingImports]
     BACKGROUNDS,
     RAYLESS,
@@ -31,10 +33,12 @@ from screens import (  # pyright: ignore[reportMissingImports]
 import godfit
 from godfit.cache import keep_compiled
 
+PHOTOGRAPH = "photograph"
+
 
 def main() -> int:
     parser = argparse.ArgumentParser()
-    parser.add_argument("--kinds", nargs="+", default=[*BACKGROUNDS, RAYLESS])
+    parser.add_argument("--kinds", nargs="+", default=[*BACKGROUNDS, PHOTOGRAPH, RAYLESS])
     parser.add_argument("--seeds", default="1000:1020")
     options = parser.parse_args()
     keep_compiled()
@@ -51,11 +55,12 @@ def main() -> int:
 
 def judged(kind: str, seed: int) -> dict[str, float]:
     """A screenshot read: errors, errors over what is quoted, converged, warned."""
-    screen, began = made(seed, kind), time.perf_counter()
+    screen = photographs.taken(seed) if kind == PHOTOGRAPH else made(seed, kind)
+    began = time.perf_counter()
     result = fitted(screen)
     row = errors(screen, result) | {"seconds": time.perf_counter() - began}
     print(
-        f"{kind:<9}{seed:>5}  light {row['light']:.4f}  "
+        f"{kind:<10}{seed:>5}  light {row['light']:.4f}  "
         + "  ".join(f"{n} {row[n]:+.3f} ({row[n + '/']:+.1f})" for n in JUDGED)
         + f"  {'converged' if row['converged'] else result.message[:60]}"
         + f"{', warned' if row['warned'] else ''}  {row['seconds']:.1f} s",
@@ -75,18 +80,20 @@ def says_so(seed: int) -> bool:
     return told
 
 
-def fitted(screen: Screen) -> godfit.FitResult:
+def fitted(screen: Screen | photographs.Photograph) -> godfit.FitResult:
+    samples = int(screen.truth["samples"])
+    if isinstance(screen, photographs.Photograph):
+        return godfit.fit(screen.image, bright_pass=True, shader=SHADER, samples=samples)
     valid = np.ones(screen.image.shape[:2], bool)
     for x, y, w, h in screen.panels:
         valid[y : y + h, x : x + w] = False
-    samples = int(screen.truth["samples"])
     return godfit.fit(screen.image, shader=SHADER, samples=samples, valid=valid)
 
 
 JUDGED = ("light_x", "light_y", "decay", "density", "gain")
 
 
-def errors(screen: Screen, result: godfit.FitResult) -> dict[str, float]:
+def errors(screen: Screen | photographs.Photograph, result: godfit.FitResult) -> dict[str, float]:
     """Errors by name (decay and gain as shares), and name/ over what is quoted."""
     truth, params = screen.truth, result.params
     n = truth["samples"]

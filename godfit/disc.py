@@ -75,6 +75,8 @@ class DiscLight(AbstractModel):
     product: ClassVar[tuple[str, str]] = Mitchell.product
     banded: ClassVar[bool] = False
     channels: ClassVar[int] = 1
+    # Of ``shape``.
+    rows: ClassVar[tuple[Parameter, ...]] = SHAPE
 
     shading: Mitchell
     shape: Float[Array, " 3"]
@@ -121,7 +123,7 @@ class DiscLight(AbstractModel):
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        rows = [*SCATTERING, *light_parameters(1), *SHAPE]
+        rows = [*SCATTERING, *light_parameters(1), *self.rows]
         k, c = self.background.shape
         for i, j in POWERS[:k]:
             place = "x" * i + "y" * j

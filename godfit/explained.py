@@ -35,19 +35,49 @@ def explained(z, held, model: DiscLight, small: Picture) -> float:
     off = np.abs(small.levels - shrink(made, small.size))
     left = np.maximum(off - small.half, 0).max(-1).reshape(-1)[usable].mean()
     goal = small.levels.reshape(-1, small.channels)[usable].astype(np.float64)
-    basis = terms(usable, small.size, TERMS[3])
-    weight = np.ones(len(goal))
-    for _ in range(10):
-        root = np.sqrt(weight)[:, None]
-        fitted = basis @ np.linalg.lstsq(basis * root, goal * root, rcond=None)[0]
-        off = np.abs(goal - fitted).max(1)
-        weight = 1 / np.maximum(off, 0.5)
+    off = _off_background(goal, usable, small.size)
     alone = np.maximum(off - max(small.half, 0.5), 0).mean()
     if alone < VARIES:
         return 0.0
     # The mean deviation of a Gaussian.
     texture = grain(small) * math.sqrt(2 / math.pi)
     return float((alone - left) / max(alone - texture, alone / 4))
+
+
+def explained_of_cells(z, held, model: DiscLight, picture: Picture) -> float:
+    """The same where little of the picture can be read, and that little is textured: in means over
+    what can be read of each cell of COPY to the longer side, 1 is all, 0 none."""
+    seen = picture.observe(np.arange(picture.size[0] * picture.size[1]))
+    made = np.asarray(predicted(z, held, model, seen)).reshape(*picture.size, -1)
+    factor = -(-max(picture.size) // COPY)
+    size = (max(1, picture.size[0] // factor), max(1, picture.size[1] // factor))
+    known = (picture.valid & ~picture.clipped).astype(np.float32)
+    share = shrink(known, size)
+    usable = np.flatnonzero(share > 0.5)
+    if len(usable) < 50:
+        return 0.0
+
+    def means(levels: np.ndarray) -> np.ndarray:
+        cells = shrink(levels * known[..., None], size) / np.maximum(share, 0.5)[..., None]
+        return cells.reshape(-1, picture.channels)[usable].astype(np.float64)
+
+    goal = means(picture.levels)
+    alone = _off_background(goal, usable, size).mean()
+    if alone < VARIES:
+        return 0.0
+    return float(1 - np.abs(goal - means(made)).max(1).mean() / alone)
+
+
+def _off_background(goal: np.ndarray, cells: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """(n,) levels by which ``goal`` (n, c) at row-major ``cells`` of a copy of ``size`` is off a
+    smooth background, the one with the least absolute deviations."""
+    basis, weight, off = terms(cells, size, TERMS[3]), np.ones(len(goal)), np.zeros(len(goal))
+    for _ in range(10):
+        root = np.sqrt(weight)[:, None]
+        fitted = basis @ np.linalg.lstsq(basis * root, goal * root, rcond=None)[0]
+        off = np.abs(goal - fitted).max(1)
+        weight = 1 / np.maximum(off, 0.5)
+    return off
 
 
 def grain(picture: Picture) -> float:

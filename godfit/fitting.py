@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from godfit import dips, indirect, inputs, restarts, screen, screen_air, search, unaided
+from godfit import dips, indirect, inputs, photograph, restarts, screen, screen_air, search, unaided
 from godfit.contested import agreed
 from godfit.errors import InputError
 from godfit.flatland import inputs as plane
@@ -50,6 +50,7 @@ def fit(
     free: Sequence[str] = (),
     background: Source | None = None,
     occluder: Source | None = None,
+    bright_pass: bool = False,
     shader: str | None = None,
     samples: int | None = None,
     rays: int | None = None,
@@ -89,6 +90,8 @@ def fit(
     - `background`: the ordinary pass that the light is laid on, as large as the target.
     - `occluder`: without a mask, (h, w), what stands in the way beside what is read off the target:
       wherever it is not black.
+    - `bright_pass`: without a mask, whether the light is all that is bright in the picture, as in a
+      photograph, see `godfit.photograph`.
     - `shader`, `samples`: a name in `godfit.taps.CONVENTIONS`, by default the scene's or
       `"mitchell"`; its own default number of samples.
     - `rays`: of the light in the plane, for each pixel, by default 64.
@@ -121,10 +124,13 @@ def fit(
     elif mask is not None and scene is not None:
         raise InputError("fit: expected a mask or a scene, got both")
     elif mask is None and scene is None:
-        inputs.check_unaided(model, lights, background)
+        inputs.check_unaided(model, lights, background, occluder, bright_pass)
     elif canvas is not None or rays is not None:
         raise InputError(f"canvas, rays: expected --model {Flatland.name} with them, got {model}")
+    if bright_pass and any(x is not None for x in (mask, scene, canvas)):
+        raise InputError("bright pass: expected no mask, scene or canvas with it, got one")
     given = {"shader": shader, "samples": samples, "pass_scale": pass_scale}
+    given |= {"bright_pass": bright_pass or None}
     with jax.enable_x64(False):
         # The program is one of float32, whatever the caller has set.
         if scene is not None:
@@ -173,10 +179,11 @@ def _fit(
         if occluder is not None:
             images["occluder"] = inputs.image(occluder, "none")
             blocked = inputs.blocked(images["occluder"], images["target"])
-        found, notes = unaided.found_in(
-            images["target"], shading, valid, blocked, settings.get("pass_scale"), fix, start,
-            seed, say,
-        )  # fmt: skip
+        given = (settings.get("pass_scale"), fix, start, seed, say)
+        if settings.get("bright_pass"):
+            found = photograph.found_in(images["target"], shading, valid, *given)
+        else:
+            found, notes = unaided.found_in(images["target"], shading, valid, blocked, *given)
         return _concluded(found, notes, images, (began, compiled), seed)
     if scene is not None:
         scene = inputs.scene_for(scene, images["target"], pass_scale)

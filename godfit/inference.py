@@ -37,6 +37,14 @@ class Evidence(NamedTuple):
     prediction: np.ndarray
     score: np.ndarray
 
+    def within(self, ranges: np.ndarray) -> Evidence:
+        """The evidence with what is known beforehand: coordinates lie within plausible ``ranges``
+        (p,). Some can trade until nothing but this limits them."""
+        known = np.diag(1 / ranges**2)
+        return self._replace(
+            curvature=self.curvature + known, scores=self.scores + known, blunt=self.blunt + known
+        )
+
     def thinned(self, repeats: float) -> Evidence:
         """The evidence of a picture that says everything ``repeats`` times over, as least squares
         counts it: the roundings of so few different pixels are no sample of anything, and walls

@@ -84,7 +84,13 @@ def picture(
     return Picture.make(target, values, back, valid, channels)
 
 
-def check_unaided(model: str, lights: int, background: Source | None) -> None:
+def check_unaided(
+    model: str,
+    lights: int,
+    background: Source | None,
+    occluder: Source | None,
+    bright_pass: bool,
+) -> None:
     """Raise InputError for what a fit without mask and scene does not do."""
     if model != Mitchell.name:
         raise InputError(f"mask: expected --mask or --scene with the model {model}, got neither")
@@ -92,6 +98,8 @@ def check_unaided(model: str, lights: int, background: Source | None) -> None:
         raise InputError(f"lights: expected 1 without a mask, got {lights}; give --mask")
     if background is not None:
         raise InputError("background: expected none without a mask, got one; give --mask as well")
+    if bright_pass and occluder is not None:
+        raise InputError("occluder: expected none with --bright-pass, got one; give either")
 
 
 def blocked(occluder: Image, target: Image) -> np.ndarray:

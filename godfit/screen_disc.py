@@ -10,6 +10,7 @@ the picture is linear in solved for (variable projection, as in ``screen.py``).
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -131,7 +132,13 @@ def _search(rays, away, radii, along, basis, goal):
 
 
 def starts(
-    picture: Picture, open_: np.ndarray, terms: int, lights: np.ndarray, seed: int, keep: int
+    picture: Picture,
+    open_: np.ndarray,
+    terms: int,
+    lights: np.ndarray,
+    seed: int,
+    keep: int,
+    radii: Sequence[float] = RADII,
 ) -> list[dict[str, float]]:
     """The ``keep`` best, apart from each other, best first: light_x, light_y, radius, kappa,
     density, and what the disc and the veil add, ``gain`` and ``veil_gain``."""
@@ -162,7 +169,7 @@ def starts(
         q = np.linalg.qr(basis * weight[:, None])[0]
         left = weight * values - q @ (q.T @ (weight * values))
         found = _search(
-            rays, jnp.asarray(away, jnp.float32), jnp.asarray(RADII, jnp.float32),
+            rays, jnp.asarray(away, jnp.float32), jnp.asarray(radii, jnp.float32),
             jnp.asarray(along), jnp.asarray(np.column_stack([weight, q]), jnp.float32),
             jnp.asarray(left, jnp.float32),
         )  # fmt: skip
@@ -171,7 +178,7 @@ def starts(
             break
         i, r, j = np.unravel_index(cost.argmin(), cost.shape)
         ray = np.asarray(rays[i])
-        inside = (1 - middles)[:, None] * away[i][None] < RADII[r]
+        inside = (1 - middles)[:, None] * away[i][None] < radii[int(r)]
         model = a[i, r, j] * (along[j] @ ray) + b[i, r, j] * (along[j] @ (ray * inside))
         design = np.column_stack([basis, model])
         off = np.abs(values - design @ np.linalg.lstsq(design, values, rcond=None)[0])
@@ -191,7 +198,7 @@ def starts(
         {
             "light_x": float(lights[i, 0]),
             "light_y": float(lights[i, 1]),
-            "radius": RADII[r],
+            "radius": float(radii[int(r)]),
             "kappa": float(shapes[j, 0]),
             "density": float(shapes[j, 1]),
             "gain": float(b[i, r, j]),

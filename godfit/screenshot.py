@@ -236,9 +236,9 @@ def look(
     return Look(tuple(ends), copy, full, np.stack([p.coordinates[4:6] for p in points]), share)
 
 
-def agreed(look: Look, light: np.ndarray) -> tuple[int, int]:
-    """Starts whose light is where it was found (2,) in the end, of those tried."""
-    near = np.abs(look.lights - light).max(-1) < AGREE
+def agreed(lights: np.ndarray, light: np.ndarray) -> tuple[int, int]:
+    """Starts whose light, of ``lights`` (n, 2), is where it was found (2,) in the end, of all."""
+    near = np.abs(lights - light).max(-1) < AGREE
     return int(np.count_nonzero(near)), len(near)
 
 

@@ -20,7 +20,7 @@ from godfit.disc import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEI
 from godfit.errors import InputError
 from godfit.explained import grain, predicted
 from godfit.image import Image
-from godfit.inference import Evidence, evidence
+from godfit.inference import evidence
 from godfit.models import Mitchell
 from godfit.observation import Observation, Picture
 from godfit.side_by_side import side_by_side
@@ -134,9 +134,11 @@ def found_in(
     point, mask, seen, free, held = read.point, read.mask, read.seen, turns.free, turns.held
     picture = dataclasses.replace(picture, mask=mask)
     settled, tangent = search.settle(point.coordinates, model, seen, free, held, rounds=rounds)
-    at = _with_ranges(evidence(settled, tangent, seen), model.ranges(settled.coordinates))
+    at = evidence(settled, tangent, seen).within(model.ranges(settled.coordinates))
     found = Found(model, picture, seen, settled, at, free, held, opened, False)
-    found.starts_agreed = screenshot.agreed(looked, settled.coordinates[LIGHT_X : LIGHT_Y + 1])
+    found.starts_agreed = screenshot.agreed(
+        looked.lights, settled.coordinates[LIGHT_X : LIGHT_Y + 1]
+    )
     objection = "" if rays else NO_RAYS.format(100 * max(looked.explained, 0))
     remarks = []
     if free[GAIN] and free[VEIL] and _out_of_sight(model, settled.coordinates, held, picture):
@@ -158,7 +160,7 @@ def found_in(
     ]
     shifts += [np.where(free, shift, 0.0) for shift in doubts]
     if free[DENSITY]:
-        shifts.append(_next_dip(settled, at.covariance(free), model.samples))
+        shifts.append(next_dip(settled, at.covariance(free), model.samples))
     found = dataclasses.replace(
         found, remarks=tuple(remarks), objection=objection, shifts=tuple(shifts)
     )
@@ -241,20 +243,11 @@ def _rivals(mask: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, ...]:
     )
 
 
-def _next_dip(settled: search.Settled, covariance: np.ndarray, samples: int) -> np.ndarray:
+def next_dip(settled: search.Settled, covariance: np.ndarray, samples: int) -> np.ndarray:
     """(p,) how far the next of the dips lies that the taps make in the cost by density, see
     ``dips.py``: with a mask of one's own making the deepest need not be the right one."""
     dip = float(settled.coordinates[DENSITY]) / samples
     return covariance[:, DENSITY] / covariance[DENSITY, DENSITY] * dip
-
-
-def _with_ranges(at: Evidence, ranges: np.ndarray) -> Evidence:
-    """The evidence with what is known beforehand: coordinates lie within plausible ranges. Radius,
-    veil and gain can trade until nothing but this limits them."""
-    known = np.diag(1 / ranges**2)
-    return at._replace(
-        curvature=at.curvature + known, scores=at.scores + known, blunt=at.blunt + known
-    )
 
 
 def _shift(

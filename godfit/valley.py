@@ -68,7 +68,7 @@ def rivals(
 
     costs = np.concatenate(side_by_side(costs_at, np.array_split(line, 2)))
     costs = np.where(np.isfinite(costs) & (np.abs(away) > dip / 2), costs, np.inf)
-    dips = _bottoms(costs)
+    dips = bottoms(costs)
     best = dips[np.argsort(costs[dips])][:RIVALS]
     begun = line[best].astype(np.float32)
     ends = side_by_side(lambda z: solve(z, free, held, model, seen, start.sigma), begun)
@@ -226,7 +226,7 @@ def reseed(
         points, levels = line()
         points = points.astype(np.float32)
         costs = np.asarray(_costs(jnp.asarray(levels, jnp.float32), scanned, jnp.float32(sigma)))
-        return [Point(points[i], float(costs[i]), False, 0) for i in _bottoms(costs)]
+        return [Point(points[i], float(costs[i]), False, 0) for i in bottoms(costs)]
 
     dip = float(here) / model.samples
     dips = side_by_side(dips_on, [following, projected])
@@ -249,7 +249,7 @@ def reseed(
     return sorted([start, *found], key=lambda s: -s.log_likelihood)
 
 
-def _bottoms(costs: np.ndarray) -> np.ndarray:
+def bottoms(costs: np.ndarray) -> np.ndarray:
     """Indices where ``costs`` (n,) are finite and no neighbour is less."""
     costs = np.where(np.isfinite(costs), costs, np.inf)
     around = np.pad(costs, 1, constant_values=np.inf)

@@ -10,7 +10,7 @@ import click
 
 from godfit.commands import STARTED
 from godfit.commands.clip import fit_frames
-from godfit.commands.options import PICTURE, RESULT, assignments
+from godfit.commands.options import BRIGHT_PASS, PICTURE, RESULT, assignments
 from godfit.commands.study import (
     NOT_CONVERGED,
     command_line,
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 @click.argument("target", nargs=-1, required=True)
 @PICTURE
 @click.option("--occluder", help="Without a mask: what stands in the way, where not black.")
+@BRIGHT_PASS
 @click.option("--model", help="mitchell, hoffman-preetham or flatland. [default: mitchell]")
 @click.option("--free", multiple=True, metavar="NAME", help="Fit this of the scene as well.")
 @click.option("--lights", type=int, help="Number of lights. [default: 1]")
@@ -62,8 +63,9 @@ def fit(
     options override it. The result goes to x.godfit/: fit.json, fit.png, render.png.
 
     With neither a mask nor a scene TARGET is a finished picture: background, objects in the way,
-    panels on top and the light's disc are read off it, and fitted together. Several TARGETs, or a
-    video, are frames of one clip: one shader for all of them, a light for each.
+    panels on top and the light's disc are read off it, and fitted together; with --bright-pass the
+    light is all that is bright in it, as in a photograph. Several TARGETs, or a video, are frames
+    of one clip: one shader for all of them, a light for each.
 
     With --scene the mask is drawn from meshes. --free light.position (or light.radius,
     camera.position, object[0].position, object[0].rotation, ...) fits that as well. With --canvas

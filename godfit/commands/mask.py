@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from godfit.commands.options import SHADER, look_away
+from godfit.commands.options import BRIGHT_PASS, SHADER, look_away
 from godfit.commands.progress import Progress, warn
 from godfit.commands.study import working
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 @click.option(
     "--hard", is_flag=True, help="Pixel centres only, as WebGL draws without multisampling."
 )
+@BRIGHT_PASS
 @SHADER
 @click.option("--ignore", multiple=True, metavar="X,Y,W,H|IMAGE", help="Pixels to look away from.")
 @click.option("-q", "--quiet", is_flag=True, help="No warnings.")
@@ -29,6 +30,7 @@ def mask(
     target: str | None,
     output: str,
     hard: bool,
+    bright_pass: bool | None,
     shader: str | None,
     samples: int | None,
     ignore: tuple[str, ...],
@@ -45,7 +47,7 @@ def mask(
         values, notes = of_scene(scene, hard)
     else:
         assert target is not None
-        values, notes = of_picture(target, shader, samples, ignore, quiet)
+        values, notes = of_picture(target, bool(bright_pass), shader, samples, ignore, quiet)
     write_image(output, values)
     if not quiet:
         for note in notes:
@@ -66,6 +68,7 @@ def of_scene(scene: str, hard: bool) -> tuple[np.ndarray, tuple[str, ...]]:
 
 def of_picture(
     target: str,
+    bright_pass: bool,
     shader: str | None,
     samples: int | None,
     ignore: tuple[str, ...],
@@ -78,6 +81,9 @@ def of_picture(
     with working(quiet, verbose=False) as progress:
         from godfit.fitting import fit
 
-        found = fit(image, shader=shader, samples=samples, valid=valid, progress=progress)
+        found = fit(
+            image, bright_pass=bright_pass, shader=shader, samples=samples, valid=valid,
+            progress=progress,
+        )  # fmt: skip
     doubts = () if found.converged else (found.message,)
     return found.mask, (*found.notes, *found.warnings, *doubts)

@@ -29,6 +29,12 @@ SHADER = together(
     click.option("--shader", help="Shader convention; see `godfit shaders`. [default: mitchell]"),
     click.option("--samples", type=int, help="Samples a ray. [default: the shader's own]"),
 )
+BRIGHT_PASS = click.option(
+    "--bright-pass",
+    is_flag=True,
+    default=None,
+    help="Without a mask: the light is all that is bright, as in a photograph.",
+)
 # What a picture is made of.
 PICTURE = together(
     click.option("--mask", help="Occlusion mask that the scattering pass reads."),
