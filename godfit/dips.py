@@ -27,7 +27,7 @@ from godfit.search import (
     veil,
 )
 from godfit.solver import solve
-from godfit.valley import DOUBT, RIVALS, predictions, reseed, rivals
+from godfit.valley import BEYOND_DOUBT, DOUBT, RIVALS, predictions, reseed, rivals
 
 # Most corrections for one blur, and the share of a coordinate by which none is worth another.
 CORRECTIONS, STILL = 3, 1e-3
@@ -193,6 +193,9 @@ def beat_distant(
         found = reseed(settled, along, model, picture, free, held, seed, count=RIVAL_PIXELS)
         tried = [before.coordinates[along]]
         for other in found:
+            if other.log_likelihood < found[0].log_likelihood - BEYOND_DOUBT:
+                # All pixels would take long to say what these say already.
+                break
             if min(abs(other.coordinates[along] - t) for t in tried) < dip / 2:
                 continue
             tried.append(other.coordinates[along])

@@ -36,9 +36,12 @@ def relieved(seen: Observation, prediction: np.ndarray, sigma: float) -> Observa
     slack = np.minimum(prediction - lo, hi - prediction)
     # Values that were never rounded have no interval.
     near = np.flatnonzero((slack < REACH * sigma) & (hi > lo))
-    alike = np.round(prediction[near].astype(np.float64) / ALIKE)
-    _, group, count = np.unique(alike, return_inverse=True, return_counts=True)
-    count = count[group]
+    if not len(near):
+        return seen
+    alike = np.rint(prediction[near].astype(np.float64) / ALIKE).astype(np.int64)
+    alike -= alike.min()
+    # All lie near an end of some level, so that there are few millions to be counted.
+    count = np.bincount(alike)[alike]
     near, count = near[count >= MANY], count[count >= MANY]
     if not len(near):
         return seen

@@ -237,19 +237,20 @@ def _shapes(given: dict[str, float], samples: int) -> np.ndarray:
     return np.array(pairs, np.float32)
 
 
-def apart(cost, places, shapes, keep):
-    """Indices (place, shape) of the cheapest starts that are not neighbours of a cheaper one."""
-    kept: list[tuple[int, int]] = []
-    for flat in np.argsort(cost, axis=None):
-        i, j = divmod(int(flat), cost.shape[1])
-        near = any(
-            np.abs(places[i] - places[a]).max() < 0.2 and abs(shapes[j, 1] - shapes[b, 1]) < 0.25
-            for a, b in kept
-        )
-        if not near:
-            kept.append((i, j))
-        if len(kept) == keep:
+def apart(
+    cost: np.ndarray, places: np.ndarray, shapes: np.ndarray, keep: int
+) -> list[tuple[int, int]]:
+    """Indices (place, shape) of the ``keep`` cheapest starts that are not neighbours of a cheaper
+    one."""
+    left, kept = cost.astype(np.float64), []
+    while len(kept) < keep:
+        i, j = divmod(int(left.argmin()), left.shape[1])
+        if not left[i, j] < np.inf:
             break
+        kept.append((i, j))
+        near = np.abs(places - places[i]).max(1) < 0.2
+        alike = np.abs(shapes[:, 1] - shapes[j, 1]) < 0.25
+        left[np.ix_(near, alike)] = np.inf
     return kept
 
 
