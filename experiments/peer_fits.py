@@ -304,6 +304,12 @@ def torch_adam(problem: Problem) -> Solve:
     return torch_descent(problem, torch.optim.Adam, lr=0.05, betas=(0.9, 0.99))
 
 
+@eqx.filter_jit
+def _parameters_at(z, held, model):
+    values = model.moved(z, held).values()
+    return jnp.stack([values[name] for name in NAMES])
+
+
 def godfit_fit(problem: Problem, start: dict[str, float] | None, *, whole: bool) -> Solve:
     """``whole``: to its own end, errors and warnings included, the watch shown the answer. Else the
     watch is shown every point at which the fit renders, as with the others."""
@@ -321,8 +327,7 @@ def godfit_fit(problem: Problem, start: dict[str, float] | None, *, whole: bool)
             return
 
         def shown(z, held, scale, model, seen):
-            values = model.moved(jnp.asarray(z), jnp.asarray(held)).values()
-            watch([float(values[name]) for name in NAMES])
+            watch(np.asarray(_parameters_at(z, held, model)))
             return linearise(z, held, scale, model, seen)
 
         with mock.patch.object(search, "linearise", shown):

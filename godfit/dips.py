@@ -15,7 +15,7 @@ import numpy as np
 
 from godfit.inference import Evidence, evidence, misfit
 from godfit.models import AbstractModel
-from godfit.observation import Observation, Picture, blurred
+from godfit.observation import Observation, Picture, blurred_at
 from godfit.search import (
     EXPLAINED,
     LADDER,
@@ -234,7 +234,7 @@ def correct(
             at = model.moved(jnp.asarray(z), jnp.asarray(held))
             sharp = picture.rendered(at)
             (coarse,) = np.asarray(predictions(jnp.asarray(z[None]), held, model, seen))
-            bias = coarse - blurred(sharp, blur).reshape(-1, picture.channels)[pixels].reshape(-1)
+            bias = coarse - blurred_at(sharp, blur, pixels).reshape(-1)
             shifted = eqx.tree_at(lambda s: (s.lo, s.hi), seen, (seen.lo + bias, seen.hi + bias))
             before, z = z, solve(z, free, held, model, shifted, sigma, bounded=False).coordinates
             z = np.clip(z, lower, upper)

@@ -171,7 +171,7 @@ class Picture:
         if blur == 0:
             lo, hi = self.intervals(pixels)
         else:
-            smooth = blurred(self.levels, blur).reshape(-1, self.channels)[pixels]
+            smooth = blurred_at(self.levels, blur, pixels)
             lo, hi = smooth - max(self.half, 0.5), smooth + max(self.half, 0.5)
             if self.clipped.any():
                 near = self._share_clipped(pixels, round(2 * blur))[:, None] > 0.01
@@ -316,12 +316,32 @@ def blurred(image: np.ndarray, sigma: float) -> np.ndarray:
 
     By a tent, two boxes, whose cost does not grow with its width: which blur it is does not matter
     to those who blur two images alike."""
-    width = 2 * round((math.sqrt(6 * sigma**2 + 1) - 1) / 2) + 1
+    width = _width(sigma)
     if image.ndim == 3:
         return np.stack([blurred(image[..., c], sigma) for c in range(image.shape[-1])], -1)
+    image = np.pad(image, width - 1, mode="edge")
     for _ in range(2):
         # Along rows, then along what were columns: across rows it takes four times as long.
         for _ in range(2):
             image = ndimage.uniform_filter1d(image, width, mode="nearest")
         image = np.ascontiguousarray(image.T)
-    return image
+    return image[width - 1 : 1 - width or None, width - 1 : 1 - width or None]
+
+
+def blurred_at(image: np.ndarray, sigma: float, pixels: np.ndarray) -> np.ndarray:
+    """(n, c) of ``blurred`` of an image (h, w, c) at row-major ``pixels``."""
+    width = _width(sigma)
+    reach = 2 * width - 1
+    tent = np.convolve(np.ones(width), np.ones(width)).astype(np.float32) / width**2
+    row, column = np.divmod(pixels, image.shape[1])
+    found = []
+    for channel in np.moveaxis(image, -1, 0):
+        padded = np.pad(channel, width - 1, mode="edge")
+        windows = np.lib.stride_tricks.sliding_window_view(padded, (reach, reach))
+        found.append(windows[row, column] @ tent @ tent)
+    return np.stack(found, -1)
+
+
+def _width(sigma: float) -> int:
+    """Of the boxes of a blur, odd."""
+    return 2 * round((math.sqrt(6 * sigma**2 + 1) - 1) / 2) + 1

@@ -5,9 +5,11 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from godfit import Mitchell, fit, search
-from godfit.observation import Observation
+from godfit.observation import Observation, Picture, blurred, blurred_at
+from godfit.search import _least
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import scenes
@@ -46,3 +48,41 @@ def test_a_tangent_that_is_known_is_taken():
     again, _ = search.settle(settled.coordinates, model, seen, free, held, known=known)
     assert known == []
     assert again.log_likelihood >= settled.log_likelihood - 1e-3
+
+
+@pytest.mark.parametrize("sigma", [0.3, 1.0, 3.0, 40.0])
+def test_a_blur_is_the_same_at_some_pixels(sigma):
+    image = np.random.default_rng(0).uniform(0, 255, (23, 31, 2)).astype(np.float32)
+    pixels = np.array([0, 30, 31, 200, 23 * 31 - 1])
+    whole = blurred(image, sigma).reshape(-1, 2)
+    np.testing.assert_allclose(blurred_at(image, sigma, pixels), whole[pixels], atol=1e-3)
+    # A mean of what is there.
+    assert image.min() <= whole.min() <= whole.max() <= image.max()
+    assert (whole.std() < image.std()) == (sigma >= 1)
+
+
+def test_the_nearest_to_the_walls_are_found():
+    slack = np.random.default_rng(1).permutation(1 << 19).astype(np.float32)
+    rows = _least(slack)
+    assert isinstance(rows, np.ndarray)
+    assert np.array_equal(np.sort(slack[rows]), np.arange(len(rows)))
+    assert isinstance(_least(slack[:1000]), slice)
+    # However they lie among the others.
+    slack = np.sort(slack)
+    assert np.array_equal(_least(slack), np.arange(len(rows)))
+    flat = np.zeros(1 << 19, np.float32)
+    assert len(np.unique(_least(flat))) == len(rows)
+
+
+def test_informative_pixels_are_valid_and_lie_where_the_target_varies():
+    levels = np.zeros((100, 200, 1), np.float32)
+    levels[:, 100:120] = 10 * np.arange(20)[None, :, None]
+    valid = np.ones((100, 200), bool)
+    valid[50:] = False
+    picture = Picture(levels, 0.5, valid, valid * 1.0, None, "none")
+    chosen = picture.informative(400, 3)
+    assert len(np.unique(chosen)) == 400
+    assert valid.reshape(-1)[chosen].all()
+    among = (chosen % 200 >= 98) & (chosen % 200 < 122)
+    assert 200 <= np.count_nonzero(among) < 260
+    assert np.array_equal(picture.informative(10_000, 3), np.flatnonzero(valid))
