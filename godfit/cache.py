@@ -41,7 +41,8 @@ def keep_compiled() -> None:
     warnings.filterwarnings("ignore", message=".*persistent compilation cache.*")
 
 
-def _newest() -> int:
+@functools.cache
+def newest_source() -> int:
     """When a file of the program was last changed (ns): numba looks at a function's own file alone,
     and would keep using what it has taken in from others."""
     return max(file.stat().st_mtime_ns for file in Path(__file__).parent.rglob("*.py"))
@@ -58,5 +59,5 @@ def numba_keeps() -> bool:
     config: Any = numba.core.config
     # Someone who has told numba where to keep things is right.
     if not config.CACHE_DIR:
-        config.CACHE_DIR = str(folder / f"numba-{_newest():x}")
+        config.CACHE_DIR = str(folder / f"numba-{newest_source():x}")
     return True

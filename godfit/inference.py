@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
+from godfit.kept import kept
 from godfit.likelihood import interval
 from godfit.observation import Observation
 from godfit.search import Settled, Tangent
@@ -86,7 +85,7 @@ class Evidence(NamedTuple):
         return covariance
 
 
-@functools.partial(jax.jit, static_argnames="foreign")
+@kept
 def _evidence(prediction, jacobian, lo, hi, sigma, blunt_sigma, foreign):
     def pixels(sigma):
         return interval((lo - prediction) / sigma, (hi - prediction) / sigma, foreign)

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, Int
 from scipy import ndimage
 
 from godfit.image import Image, encode
+from godfit.kept import kept
 from godfit.models import AbstractModel
 from godfit.upsample import Texels
 
@@ -280,7 +281,7 @@ def render(
     return np.clip(np.asarray(_image(model, jnp.asarray(mask), back, size)), 0, 1)
 
 
-@eqx.filter_jit
+@kept
 def _image(model, mask, background, size):
     return model(mask, background, size=size)
 

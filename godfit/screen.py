@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 from scipy import ndimage
 
 from godfit.image import decode
+from godfit.kept import kept
 from godfit.models import Mitchell
 from godfit.observation import LEVELS, Picture, grey, shrink
 from godfit.radial.geometry import to_pixels
@@ -47,7 +48,7 @@ def light_grid(target: np.ndarray, seed: int) -> np.ndarray:
     return np.concatenate([lattice, rings, spots])
 
 
-@jax.jit
+@kept
 def read_rays(
     mask: Float[Array, "h w"], light: Float[Array, "lights 2"], at: Float[Array, "points 2"]
 ) -> Float[Array, "lights steps points"]:
@@ -67,7 +68,7 @@ def read_rays(
     return jax.vmap(one)(light)
 
 
-@eqx.filter_jit
+@kept
 def _box_rays(
     mask: Float[Array, "h w"],
     light: Float[Array, "lights 2"],
@@ -84,7 +85,7 @@ def _box_rays(
     return lax.map(one, light)
 
 
-@jax.jit
+@kept
 def _solve(rays, shapes, own, target, weight):
     """Exposure and gain, neither negative, and the cost, for every light and shape.
 

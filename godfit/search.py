@@ -6,7 +6,6 @@ starts that fall behind are dropped. ``settle`` finds coordinates and noise that
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -15,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from godfit.kept import kept
 from godfit.likelihood import log_likelihood
 from godfit.models import AbstractModel
 from godfit.observation import Observation, Picture
@@ -54,7 +54,7 @@ def _total(prediction, lo, hi, sigma, foreign):
     return log_likelihood(prediction, lo, hi, sigma, foreign).sum()
 
 
-@functools.partial(jax.jit, static_argnames=("part_of", "foreign"))
+@kept
 def _likeliest(prediction, lo, hi, middle, first, last, part_of: int, foreign: float):
     """Sigma, the log-likelihood of all values there, and whether the first grid had it inside."""
     values = prediction, lo, hi
@@ -102,8 +102,8 @@ def best_sigma(
     last = 2 if part_of == SIGMA_VALUES else 3
     first, middle = (0, MIDDLE) if near is None else (last - 1, near)
     found = _likeliest(
-        prediction, seen.lo, seen.hi, np.float32(middle), first, last,
-        part_of=part_of, foreign=seen.foreign,
+        prediction, seen.lo, seen.hi, np.float32(middle), np.int32(first), np.int32(last),
+        part_of, seen.foreign,
     )  # fmt: skip
     sigma, likelihood, within = (float(z) for z in np.asarray(found))
     if near is not None and not within:
@@ -121,12 +121,12 @@ def veil(seen: Observation) -> Settled:
     return Settled(np.array([level], np.float32), sigma, likelihood, True)
 
 
-_total_at = jax.jit(_total, static_argnames="foreign")
+_total_at = kept(_total)
 
 
 def log_likelihood_at(prediction: np.ndarray, seen: Observation, sigma: float) -> float:
     """Log-likelihood of all pixels."""
-    return float(_total_at(prediction, seen.lo, seen.hi, np.float32(sigma), foreign=seen.foreign))
+    return float(_total_at(prediction, seen.lo, seen.hi, np.float32(sigma), seen.foreign))
 
 
 def climb(
@@ -200,7 +200,7 @@ class Tangent(NamedTuple):
         return np.asarray(_along(self.prediction[rows], self.jacobian[:, rows], step))
 
 
-@jax.jit
+@kept
 def _along(prediction, jacobian, step):
     # By XLA: BLAS in numpy keeps a core busy, waiting, long after the product is done.
     return prediction + step @ jacobian

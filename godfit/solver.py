@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
@@ -13,6 +12,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
+from godfit.kept import kept
 from godfit.likelihood import deviance_residuals, interval
 from godfit.models import AbstractModel, Values, Vector
 from godfit.observation import Observation
@@ -38,7 +38,7 @@ class Point(NamedTuple):
     steps: int
 
 
-@eqx.filter_jit
+@kept
 def _least_squares(
     start: Vector,
     free: Switches,
@@ -65,7 +65,7 @@ def _least_squares(
     return coordinates, cost, settled, solution.stats["num_steps"]
 
 
-@eqx.filter_jit
+@kept
 def linearise(
     coordinates: Vector,
     held: Vector,
@@ -84,7 +84,7 @@ def linearise(
     return jax.vmap(move, out_axes=(None, 0))((jnp.eye(y.shape[0], dtype=y.dtype),))
 
 
-@functools.partial(jax.jit, static_argnames="foreign")
+@kept
 def _on_tangent(
     step: Vector,
     prediction: Values,
@@ -106,7 +106,7 @@ def _on_tangent(
     return jnp.concatenate([jnp.full_like(slope, pixel.log.sum())[None], slope[None], curvature])
 
 
-@jax.jit
+@kept
 def _gram(jacobian):
     return jacobian @ jacobian.T
 
@@ -178,7 +178,7 @@ def solve_tangent(
     still, size = 1.0, np.sqrt(np.diag(least_squares) + 1)
 
     def at(step):
-        found = _on_tangent(step.astype(np.float32), *values, foreign=foreign)
+        found = _on_tangent(step.astype(np.float32), *values, foreign)
         found = np.asarray(found, np.float64)
         return found[0, 0], found[1], found[2:]
 
@@ -214,7 +214,7 @@ def solve_tangent(
     return Point(z.astype(np.float32), -float(likelihood), settled, steps)
 
 
-@functools.partial(jax.jit, static_argnames="foreign")
+@kept
 def _slope(prediction, jacobian, lo, hi, sigma, foreign):
     pixel = interval((lo - prediction) / sigma, (hi - prediction) / sigma, foreign)
     return -jacobian @ (pixel.slope / sigma)

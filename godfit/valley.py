@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from godfit.kept import kept
 from godfit.likelihood import deviance_residuals
 from godfit.models import AbstractModel, Vector
 from godfit.observation import Observation, Picture
@@ -89,7 +89,7 @@ def _valley(
         return np.asarray(_floor(jnp.asarray(at), free, held, along, model, seen))
 
 
-@eqx.filter_jit
+@kept
 def _floor(
     coordinates: Vector,
     free: Vector,
@@ -158,7 +158,7 @@ def _projected(
     return line, shown
 
 
-@eqx.filter_jit
+@kept
 def predictions(
     points: Float[Array, "n p"], held: Vector, model: AbstractModel, seen: Observation
 ) -> Float[Array, "n m"]:
@@ -166,7 +166,7 @@ def predictions(
     return jax.lax.map(lambda z: seen.predict(model.moved(z, held)), points)
 
 
-@eqx.filter_jit
+@kept
 def _costs(
     levels: Float[Array, "n m"], seen: Observation, sigma: Float[Array, ""]
 ) -> Float[Array, " n"]:

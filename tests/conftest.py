@@ -70,6 +70,7 @@ def forget():
     """Compiled programs of one file are of no use to the next, and take gigabytes together."""
     yield
     jax.clear_caches()
+    importlib.import_module("godfit.kept").forget_programs()
 
 
 @pytest.fixture

@@ -88,9 +88,11 @@ def working(quiet: bool, verbose: bool) -> Iterator[Progress]:
         progress("loading JAX")
         from godfit.allocator import keep_little
         from godfit.cache import keep_compiled
+        from godfit.kept import keep_programs
 
         keep_little()
         keep_compiled()
+        keep_programs()
         yield progress
 
 
@@ -103,8 +105,9 @@ def made_ready(options: dict[str, Any], quiet: bool, progress: Progress) -> None
         options["scene"] = read_scene(options["scene"])
     if options.get("model", "mitchell") == "mitchell" and not quiet:
         say_assumed(options)
-    # Loaded while compiled programs run, which need the interpreter little.
-    threading.Thread(target=_load_drawing, daemon=True).start()
+    # While XLA compiles or its programs run, which need the interpreter little.
+    kernels = options.get("model", "mitchell") == "mitchell"
+    threading.Thread(target=_load_ahead, args=(kernels,), daemon=True).start()
 
 
 def say_assumed(options: Mapping[str, Any]) -> None:
@@ -119,7 +122,11 @@ def say_assumed(options: Mapping[str, Any]) -> None:
         warn(f"{shader.name} publishes no default: {shader.samples} samples assumed")
 
 
-def _load_drawing() -> None:
+def _load_ahead(kernels: bool) -> None:
+    if kernels:
+        from godfit.radial.exact import load_fastest
+
+        load_fastest()
     import matplotlib.backends.backend_agg
     import matplotlib.figure  # noqa: F401
 

@@ -7,13 +7,10 @@ from anywhere in a cell without meeting anything, or FILLED or OUTSIDE; ``cells`
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 from numba import njit
 
 from godfit.cache import numba_keeps
-from godfit.radial.foreign import register
 
 FILLED, OUTSIDE = -1.0, -2.0
 # Pixels of a row whose rays go side by side, in vector registers.
@@ -101,16 +98,3 @@ def blend(cells, hits, found, ended, sky, light):
     if ended == LEFT:
         for c in range(3):
             light[c] += passing * sky[c]
-
-
-def registered(functions, kind: str, double: bool) -> str:
-    """The name as XLA knows it of one of ``functions``, {(kind, double): frame -> 0}, which is
-    compiled or loaded when it is first asked for."""
-    return _registered(functions[kind, double])
-
-
-@functools.cache
-def _registered(function) -> str:
-    name = f"godfit_flatland{function.__name__}"
-    register(name, function)
-    return name

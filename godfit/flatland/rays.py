@@ -27,9 +27,13 @@ from jaxtyping import Array, Bool, Float, Int32
 from godfit.distance import jump_flood
 from godfit.flatland import compiled, compiled_cascades, compiled_derivatives
 from godfit.flatland.canvas import Canvas
-from godfit.flatland.compiled_walk import FILLED, OUTSIDE, registered
+from godfit.flatland.compiled_walk import FILLED, OUTSIDE
+from godfit.radial.foreign import declare, made_known
 
-FUNCTIONS = compiled.FUNCTIONS | compiled_derivatives.FUNCTIONS | compiled_cascades.FUNCTIONS
+NAMES = declare(
+    "godfit_flatland",
+    compiled.FUNCTIONS | compiled_derivatives.FUNCTIONS | compiled_cascades.FUNCTIONS,
+)
 # Calls for one picture, which XLA shares out among its threads.
 CALLS = 16
 # A transpose has a result of the canvas's size for every call.
@@ -148,11 +152,9 @@ def _numbers(given: Prepared, how) -> tuple[tuple, list[int]]:
 
 def call(kind: str, shape: tuple[int, ...], dtype, *arguments):
     """A compiled function's result."""
-    made = jax.ffi.ffi_call(
-        registered(FUNCTIONS, kind, dtype == jnp.float64),
-        jax.ShapeDtypeStruct(shape, dtype),
-        vmap_method="sequential",
-    )
+    name = NAMES[kind, dtype == jnp.float64]
+    made_known(name)
+    made = jax.ffi.ffi_call(name, jax.ShapeDtypeStruct(shape, dtype), vmap_method="sequential")
     return made(*arguments)
 
 

@@ -6,14 +6,13 @@ Arrays are the padded mask (h + 2, w + 3), whose border is there twice, and ``nu
 
 from __future__ import annotations
 
-import functools
 import math
 
 import numpy as np
 from numba import njit
 
 from godfit.cache import numba_keeps
-from godfit.radial.foreign import asks_version, matrix, register, result, vector
+from godfit.radial.foreign import asks_version, declare, made_known, matrix, result, vector
 
 # Rows and columns of a tile: an inner loop of a fixed length that fills the vector registers.
 HIGH, WIDE = 32, 64
@@ -24,6 +23,8 @@ GROUP = 32
 _compiled = njit(
     cache=numba_keeps(), nogil=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"}
 )
+# What is compiled for its caller is optimised once more with it.
+_inlined = njit(inline="always")
 
 
 @_compiled
@@ -184,14 +185,16 @@ def scattered(mask, flat, at, numbers, count, out):
     row = np.empty(1, np.uint64), np.empty(1, mask.dtype)
     total = np.empty((sums, 1, WIDE), mask.dtype)
     level = np.empty(2)
-    begin = 0
+    # Of one type from the start, and as ``_rows`` has them: nothing is compiled twice.
+    begin, single = np.int64(0), np.int64(1)
     while begin < points:
         run = _run(at, begin)
         total[:] = 0
         level[:] = 0
         if run >= GROUP:
+            top, left = np.float64(at[1, begin]), np.float64(at[0, begin])
             _tile(
-                mask, flat, numbers, count, float(at[1, begin]), float(at[0, begin]), 1,
+                mask, flat, numbers, count, top, left, single,
                 total, level, strip, slope, column, row,
             )  # fmt: skip
         else:
@@ -250,7 +253,7 @@ def _group(mask, at, numbers, count, begin, total):
             total[3, 0, p] += c_t * (lower - upper)
 
 
-@_compiled
+@_inlined
 def _picture(frame, real):
     if not asks_version(frame):
         mask, flat = matrix(frame, 0, real), matrix(frame, 1, real)
@@ -259,7 +262,7 @@ def _picture(frame, real):
     return 0
 
 
-@_compiled
+@_inlined
 def _points(frame, real):
     if not asks_version(frame):
         mask, flat = matrix(frame, 0, real), matrix(frame, 1, real)
@@ -285,15 +288,19 @@ def _points_double(frame):
     return _points(frame, np.float64)
 
 
-@functools.cache
-def target(kind: str, double: bool) -> str:
-    """The name of a compiled function, which is compiled or loaded when it is first asked for."""
-    function = {
+NAMES = declare(
+    "godfit",
+    {
         ("picture", False): _picture_single,
         ("picture", True): _picture_double,
         ("points", False): _points_single,
         ("points", True): _points_double,
-    }[kind, double]
-    name = f"godfit{function.__name__}"
-    register(name, function)
+    },
+)
+
+
+def target(kind: str, double: bool) -> str:
+    """The name of a compiled function, which XLA knows from now on."""
+    name = NAMES[kind, double]
+    made_known(name)
     return name

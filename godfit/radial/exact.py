@@ -36,6 +36,16 @@ def fastest(taps: Taps) -> str:
     return "strips" if jax.default_backend() == "cpu" and "strips" in EXACT else "pairs"
 
 
+def load_fastest() -> None:
+    """Compile or load what this method is made of, if it is not made by XLA."""
+    if jax.default_backend() == "cpu" and "strips" in EXACT:
+        from godfit.radial.compiled import target
+
+        # In the order in which a fit needs them.
+        target("points", double=False)
+        target("picture", double=False)
+
+
 def exact(
     mask: Float[Array, "h w"],
     light: Float[Array, "2"],

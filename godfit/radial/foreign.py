@@ -12,7 +12,8 @@ only ever added at the ends of its structures.
 
 from __future__ import annotations
 
-from typing import Any
+import threading
+from typing import Any, NamedTuple
 
 import jax
 from numba import (
@@ -42,7 +43,8 @@ _pointer: Any = intrinsic(
 )
 _words: Any = intrinsic(lambda _, address: (_WORDS(address), _cast))
 
-_compiled = njit(cache=numba_keeps(), nogil=True)
+# Taken in by whoever calls them: each is small, and compiling them on their own takes longer.
+_compiled = njit(inline="always")
 
 
 @_compiled
@@ -82,7 +84,39 @@ def result(frame, kind):
     return carray(_pointer(buffer[_DATA], kind), (size[0], size[1], size[2]))
 
 
-def register(name: str, function) -> None:
-    """Compile ``function`` (frame -> 0) and make it known to XLA on the CPU as ``name``."""
+class _Named(NamedTuple):
+    """What was declared under a name; whether XLA knows it, if ``known`` is not empty."""
+
+    function: Any
+    lock: threading.Lock
+    known: list[bool]
+
+
+_declared: dict[str, _Named] = {}
+
+
+def declare(prefix: str, functions: dict[Any, Any]) -> dict[Any, str]:
+    """The names, each after the ``prefix``, under which XLA will know ``functions`` (frame -> 0).
+    A name is the same in every run: a program that was kept asks for it."""
+    names = {key: prefix + function.__name__ for key, function in functions.items()}
+    for key, name in names.items():
+        _declared[name] = _Named(functions[key], threading.Lock(), [])
+    return names
+
+
+def made_known(name: str) -> bool:
+    """Whether something of this name was declared; it is compiled, or loaded, and made known to XLA
+    on the CPU when it is first asked for. Nobody waits for others than that."""
+    named = _declared.get(name)
+    if named is None:
+        return False
+    with named.lock:
+        if not named.known:
+            _register(name, named.function)
+            named.known.append(True)
+    return True
+
+
+def _register(name: str, function) -> None:
     compiled = cfunc(types.int64(_WORDS), cache=numba_keeps())(function)
     jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(compiled.ctypes), platform="cpu")

@@ -1,0 +1,188 @@
+"""Programs kept whole from one run to the next: neither traced nor lowered nor compiled again.
+
+JAX's own cache spares a second run the compiling. What it does not spare, tracing Python and
+lowering what comes of it, is then a third of a short command. Here the executable itself is kept
+(``jax.experimental.serialize_executable``), under a name that says all that it depends on: the
+function, the shapes and settings that it was made for, this program's sources, the versions of JAX
+and numba, the processor and the flags of XLA. Whatever cannot be kept, or read again, is compiled.
+
+An executable finds the functions that it calls by their names. Those of ``radial/foreign.py`` are
+known to XLA, and LAPACK's to JAX, only when something that needs them has been lowered: here they
+are made known first.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import pickle
+import platform
+import re
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.core import Tracer
+
+from godfit.cache import cache_folder, newest_source
+
+CALLED = re.compile(r"custom_call @(\w+)")
+LAPACK = "lapack_"
+# XLA's newer emitter of fusions takes nearly twice as long to compile, and what it makes is no
+# faster here.
+QUICK = {"xla_cpu_use_fusion_emitters": False}
+
+_folder: Path | None = None
+_programs: dict[Any, Callable[..., Any]] = {}
+_locks: dict[Any, threading.Lock] = {}
+
+
+def keep_programs() -> None:
+    """From now on, where there is a cache folder and the device is a CPU."""
+    global _folder
+    folder = cache_folder()
+    if folder is not None and jax.default_backend() == "cpu":
+        _folder = folder / f"programs-{_surroundings()}"
+
+
+def forget_programs() -> None:
+    """Keep none from now on; those in memory are let go of."""
+    global _folder
+    _folder = None
+    _programs.clear()
+    _locks.clear()
+    _in_memory.cache_clear()
+
+
+def kept(function: Callable[..., Any]) -> Callable[..., Any]:
+    """``jax.jit`` of a function of arrays, modules of them, and settings, which are all else; its
+    results are arrays, in tuples or not. Once ``keep_programs`` was called the program is kept."""
+
+    @functools.wraps(function)
+    def call(*args: Any) -> Any:
+        leaves, tree = jax.tree.flatten(args)
+        arrays = tuple(eqx.is_array(leaf) for leaf in leaves)
+        dynamic = [leaf for leaf, is_one in zip(leaves, arrays, strict=True) if is_one]
+        # With their types: 1 is True, and yet another setting.
+        static = tuple(
+            (type(leaf), leaf) for leaf, is_one in zip(leaves, arrays, strict=True) if not is_one
+        )
+        key = (function, tree, arrays, static)
+        if _folder is None or any(isinstance(leaf, Tracer) for leaf in dynamic):
+            return _in_memory(key)(*dynamic)
+        shapes = tuple((leaf.shape, leaf.dtype.str) for leaf in dynamic)
+        key = (*key, shapes, jax.dtypes.canonicalize_dtype(float).str)
+        program = _programs.get(key)
+        if program is None:
+            with _locks.setdefault(key, threading.Lock()):
+                program = _programs.get(key) or _on_disk(_folder, key, dynamic)
+                _programs[key] = program
+        return program(*dynamic)
+
+    return call
+
+
+@functools.cache
+def _in_memory(key: tuple) -> Callable[..., Any]:
+    """As JAX has it."""
+    function, tree, arrays, static, *_ = key
+
+    def flat(*dynamic):
+        each, others = iter(dynamic), (leaf for _, leaf in static)
+        leaves = [next(each) if is_one else next(others) for is_one in arrays]
+        return function(*jax.tree.unflatten(tree, leaves))
+
+    flat.__name__ = function.__name__
+    return jax.jit(flat)
+
+
+def _on_disk(folder: Path, key: tuple, dynamic: list[Any]) -> Callable[..., Any]:
+    """Read from its file, or compiled and written to it."""
+    function, *rest = key
+    name = repr((function.__module__, function.__qualname__, *rest))
+    if " at 0x" in name:
+        # Something that is called otherwise in every run.
+        return _in_memory(key)
+    file = folder / hashlib.sha256(name.encode()).hexdigest()
+    program = _read(file)
+    if program is None:
+        lowered = _in_memory(key).lower(*dynamic)
+        program = _compiled(lowered)
+        _write(file, program, sorted(set(CALLED.findall(lowered.as_text()))))
+    return program
+
+
+def _compiled(lowered: Any) -> Any:
+    try:
+        return lowered.compile(QUICK)
+    except jax.errors.JaxRuntimeError:
+        # An XLA that knows no such option.
+        return lowered.compile()
+
+
+def _read(file: Path) -> Callable[..., Any] | None:
+    from jax.experimental.serialize_executable import deserialize_and_load
+
+    try:
+        called, *parts = pickle.loads(file.read_bytes())
+        return deserialize_and_load(*parts) if all(map(_made_known, called)) else None
+    except FileNotFoundError:
+        return None
+    except Exception:
+        # Of another version, or half of one: whatever is wrong with it, it is made anew.
+        return None
+
+
+def _write(file: Path, program: Any, called: list[str]) -> None:
+    """All of it or nothing, and nothing where it could not be used again."""
+    from jax.experimental.serialize_executable import serialize
+
+    try:
+        if not all(map(_made_known, called)):
+            return
+        content = pickle.dumps((called, *serialize(program)))
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as half:
+            half.write(content)
+        os.replace(half.name, file)
+    except Exception:
+        # No room, or a program that cannot be taken out of memory: there will be none to read.
+        return
+
+
+def _made_known(name: str) -> bool:
+    """Whether XLA knows the function of this name now."""
+    if name.startswith(LAPACK):
+        _find_lapack()
+        return True
+    foreign = sys.modules.get("godfit.radial.foreign")
+    return foreign is not None and foreign.made_known(name)
+
+
+@functools.cache
+def _find_lapack() -> None:
+    jax.jit(jnp.linalg.qr).lower(jax.ShapeDtypeStruct((1, 1), jnp.float32))
+
+
+def _surroundings() -> str:
+    """What every program depends on, in a word."""
+    try:
+        import llvmlite.binding as llvm
+        import numba
+
+        features = llvm.get_host_cpu_features().flatten()
+        processor = numba.__version__, llvm.get_host_cpu_name(), features
+    except ImportError:
+        processor = platform.machine(), platform.processor()
+    flags = os.environ.get("XLA_FLAGS", "")
+    versions = jax.__version__, version("jaxlib"), sys.version
+    parts = (*versions, processor, flags, jax.device_count(), newest_source())
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]

@@ -1,0 +1,147 @@
+"""Programs kept from one run to the next: the same answers, neither traced nor compiled again."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from godfit import Mitchell, kept
+from godfit.cache import SWITCH
+from godfit.radial.exact import EXACT
+
+MODEL = Mitchell(0.05, 0.98, 0.8, 0.7, (0.5, 0.6), "dawntime", 20)
+MASK = (np.random.default_rng(0).random((24, 32)) > 0.5).astype(float)
+
+
+@pytest.fixture
+def traced():
+    """What was traced, in order."""
+    return []
+
+
+@pytest.fixture
+def another_run(monkeypatch, tmp_path):
+    """Begins one, with a folder of its own for what earlier ones have kept."""
+    monkeypatch.setenv(SWITCH, str(tmp_path))
+
+    def begin():
+        kept.forget_programs()
+        kept.keep_programs()
+        return [file for file in tmp_path.rglob("*") if file.is_file()]
+
+    yield begin
+    kept.forget_programs()
+
+
+def made(traced):
+    def light(model, mask, times, *, name="light"):
+        traced.append(times)
+        return times * model.light_pass(mask), jnp.linalg.qr(mask)[1]
+
+    # Its name must be that of no other: it is found by it.
+    light.__qualname__ = "light"
+    return kept.kept(light)
+
+
+def test_a_program_is_traced_once(traced, another_run):
+    files = another_run()
+    assert not files
+    light = made(traced)
+    first = light(MODEL, MASK, 2)
+    np.testing.assert_allclose(first[0], 2 * MODEL.light_pass(jnp.asarray(MASK)), rtol=1e-12)
+    light(MODEL, MASK, 2)
+    assert traced == [2]
+    assert len(another_run()) == 1
+    again = light(MODEL, MASK, 2)
+    assert traced == [2]
+    for a, b in zip(first, again, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_what_it_depends_on_makes_another(traced, another_run):
+    another_run()
+    light = made(traced)
+    light(MODEL, MASK, 1)
+    for other in (
+        (MODEL, MASK, 1.0),
+        (MODEL, MASK[:12], 1),
+        (Mitchell(0.05, 0.98, 0.8, 0.7, (0.5, 0.6), "dawntime", 21), MASK, 1),
+    ):
+        before = len(traced)
+        expected = other[2] * other[0].light_pass(jnp.asarray(other[1]))
+        np.testing.assert_allclose(light(*other)[0], expected, rtol=1e-12)
+        assert len(traced) > before
+    before = len(traced)
+    with jax.enable_x64(False):
+        single = Mitchell(0.05, 0.98, 0.8, 0.7, (0.5, 0.6), "dawntime", 20)
+        # Twice, and of NumPy's own precision.
+        for _ in range(2):
+            assert light(single, MASK, 1)[0].dtype == jnp.float32
+    assert len(traced) > before
+    # Other numbers make none.
+    moved = Mitchell(0.06, 0.97, 0.7, 0.6, (0.4, 0.5), "dawntime", 20)
+    before = len(traced)
+    np.testing.assert_allclose(
+        light(moved, MASK, 1)[0], moved.light_pass(jnp.asarray(MASK)), rtol=1e-12
+    )
+    assert len(traced) == before
+
+
+@pytest.mark.parametrize("content", [b"", b"half a program"])
+def test_a_file_that_cannot_be_read_is_made_anew(traced, another_run, content):
+    another_run()
+    light = made(traced)
+    expected = light(MODEL, MASK, 1)
+    (file,) = another_run()
+    whole = file.read_bytes()
+    file.write_bytes(content or whole[: len(whole) // 2])
+    np.testing.assert_array_equal(light(MODEL, MASK, 1)[0], expected[0])
+    assert traced == [1, 1]
+    (file,) = another_run()
+    assert len(file.read_bytes()) == len(whole)
+
+
+def test_without_a_folder_nothing_is_kept(traced, another_run, monkeypatch, tmp_path):
+    monkeypatch.setenv(SWITCH, "off")
+    assert not another_run()
+    light = made(traced)
+    light(MODEL, MASK, 1)
+    light(MODEL, MASK, 1)
+    assert traced == [1]
+    assert not another_run()
+
+
+def test_it_is_differentiable_like_any_other(traced, another_run):
+    another_run()
+    light = made(traced)
+
+    def exposed(exposure):
+        model = Mitchell(exposure, 0.98, 0.8, 0.7, (0.5, 0.6), "dawntime", 20)
+        return light(model, MASK, 1)[0].sum()
+
+    slope = jax.jacfwd(exposed)(0.05)
+    ahead, behind = exposed(0.05 + 1e-4), exposed(0.05 - 1e-4)
+    np.testing.assert_allclose(slope, (ahead - behind) / 2e-4, rtol=1e-6)
+
+
+def test_what_cannot_be_kept_is_compiled(traced, another_run):
+    """A call into Python has no name that another run could find it by."""
+    another_run()
+
+    def called_back(x):
+        traced.append(1)
+        return jax.pure_callback(np.sin, jax.ShapeDtypeStruct(x.shape, x.dtype), x)
+
+    sine = kept.kept(called_back)
+    np.testing.assert_allclose(sine(MASK), np.sin(MASK))
+    assert not another_run()
+    np.testing.assert_allclose(sine(MASK), np.sin(MASK))
+    assert len(traced) == 2
+
+
+@pytest.mark.skipif("strips" not in EXACT, reason="numba is not installed")
+def test_foreign_functions_are_known_by_name():
+    from godfit.radial import compiled, foreign
+
+    assert foreign.made_known(compiled.NAMES["points", False])
+    assert not foreign.made_known("nobody")
