@@ -11,12 +11,13 @@ from godfit.kept import kept
 from godfit.likelihood import interval
 from godfit.observation import Observation
 from godfit.search import Settled, Tangent
+from godfit.side_by_side import side_by_side
 
 # Beyond these, noise is no explanation of what is left.
 MAX_TAILS = 3.5
 MAX_CORRELATION = 0.3
 # Values that are worked on together, so that memory does not grow with the picture.
-BLOCK = 1 << 18
+BLOCK = 1 << 17
 
 
 class Evidence(NamedTuple):
@@ -105,12 +106,13 @@ def evidence(settled: Settled, tangent: Tangent, seen: Observation) -> Evidence:
     width = hi - lo
     sigma = settled.sigma
     blunt_sigma = np.hypot(sigma, width[np.isfinite(width)].max(initial=0) / math.sqrt(12))
-    parts = []
-    for begin in range(0, len(lo), BLOCK):
-        rows = slice(begin, begin + BLOCK)
+
+    def of(rows: slice) -> list[np.ndarray]:
         values = tangent.prediction[rows], tangent.jacobian[:, rows], lo[rows], hi[rows]
         found = _evidence(*values, np.float32(sigma), np.float32(blunt_sigma), seen.foreign)
-        parts.append([np.asarray(z) for z in found])
+        return [np.asarray(z) for z in found]
+
+    parts = side_by_side(of, [slice(b, b + BLOCK) for b in range(0, len(lo), BLOCK)])
     curvature, scores, blunt, gradient = (
         np.sum([part[i] for part in parts], 0, np.float64) for i in range(4)
     )

@@ -23,10 +23,13 @@ from godfit.kept import kept
 from godfit.models import Mitchell
 from godfit.observation import LEVELS, Picture, grey, shrink
 from godfit.radial.geometry import to_pixels
+from godfit.side_by_side import side_by_side
 
 SIZE = 64
 STEPS = 48
 POINTS = 512
+# Lights drawn where it is bright: so many that all lights are an even number.
+SPOTS = 65
 KAPPAS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 7.0, 11.0, 18.0, 30.0)
 DENSITIES = (0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.0)
 
@@ -43,7 +46,7 @@ def light_grid(target: np.ndarray, seed: int) -> np.ndarray:
     h, w = target.shape
     bright = np.maximum(target, 0).ravel().astype(np.float64) ** 2 + 1e-12
     rng = np.random.default_rng(seed)
-    drawn = rng.choice(h * w, min(64, h * w), replace=False, p=bright / bright.sum())
+    drawn = rng.choice(h * w, min(SPOTS, h * w), replace=False, p=bright / bright.sum())
     spots = np.stack([(drawn % w + 0.5) / w, 1 - (drawn // w + 0.5) / h], -1)
     return np.concatenate([lattice, rings, spots])
 
@@ -110,6 +113,14 @@ def _solve(rays, shapes, own, target, weight):
     return lax.map(one, rays)
 
 
+def _solved(rays, *given) -> tuple[np.ndarray, ...]:
+    """``_solve``, half of the lights on each of two cores where they are an even number: for two
+    numbers it would be compiled twice."""
+    halves = jnp.split(rays, 2) if len(rays) % 2 == 0 else [rays]
+    parts = side_by_side(lambda part: [np.asarray(z) for z in _solve(part, *given)], halves)
+    return tuple(np.concatenate(each) for each in zip(*parts, strict=True))
+
+
 def starts(
     picture: Picture, model: Mitchell, given: dict[str, float], *, keep: int, seed: int
 ) -> list[np.ndarray]:
@@ -154,7 +165,7 @@ def starts(
         groups = _best_groups(rays, jnp.asarray(along), own, goal, trust, lights, required)
         groups = np.array([_in_order(group, places, told) for group in groups])
         rays = rays[jnp.asarray(groups)].sum(1)
-    e, g, cost = (np.asarray(z) for z in _solve(rays, jnp.asarray(along), own, goal, trust))
+    e, g, cost = _solved(rays, jnp.asarray(along), own, goal, trust)
     spots = places[groups].reshape(len(groups), -1)
     found = []
     for i, j in apart(cost, spots, shapes, keep):

@@ -194,10 +194,14 @@ class Tangent(NamedTuple):
     jacobian: np.ndarray
     scale: np.ndarray
 
-    def moved(self, by: np.ndarray, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """Levels (of some) where the coordinates are others ``by`` so much."""
+    def only(self, rows: np.ndarray) -> Tangent:
+        """Of some of the levels."""
+        return Tangent(self.prediction[rows], self.jacobian[:, rows], self.scale)
+
+    def moved(self, by: np.ndarray) -> np.ndarray:
+        """Levels where the coordinates are others ``by`` so much."""
         step = np.asarray(by / self.scale, np.float32)
-        return np.asarray(_along(self.prediction[rows], self.jacobian[:, rows], step))
+        return np.asarray(_along(self.prediction, self.jacobian, step))
 
 
 @kept
@@ -280,17 +284,18 @@ def aim(
     lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
     levels, slack = tangent.prediction, _slack(tangent.prediction, lo, hi)
     for _ in range(5):
-        rows, walls = slice(None), (seen.lo, seen.hi)
+        rows, of, walls = None, tangent, (seen.lo, seen.hi)
         if sigma < EXPLAINED:
             rows = _least(slack)
-            walls = lo[rows], hi[rows]
-        moved, jacobian = tangent.moved(z - at.coordinates, rows), tangent.jacobian[:, rows]
+        if rows is not None:
+            of, walls = tangent.only(rows), (lo[rows], hi[rows])
+        moved = of.moved(z - at.coordinates)
         there = solve_tangent(
-            z, free, model, tangent.scale, moved, jacobian, *walls, sigma, seen.foreign
+            z, free, model, tangent.scale, moved, of.jacobian, *walls, sigma, seen.foreign
         ).coordinates
         moved = tangent.moved(there - at.coordinates)
         suits, found = best_sigma(moved, seen, near=sigma)
-        if not isinstance(rows, slice) and found < likelihood:
+        if rows is not None and found < likelihood:
             # Values that were left out object: from now on they have a say.
             slack = np.minimum(slack, _slack(moved, lo, hi))
             continue
@@ -307,12 +312,12 @@ def _slack(prediction: np.ndarray, lo: np.ndarray, hi: np.ndarray) -> np.ndarray
     return np.minimum(prediction - lo, hi - prediction)
 
 
-def _least(slack: np.ndarray) -> np.ndarray | slice:
-    """The values nearest to the ends of their intervals. Where rounding is all the noise there is,
-    the others are far inside and have no say."""
+def _least(slack: np.ndarray) -> np.ndarray | None:
+    """The values nearest to the ends of their intervals, None if that is all. Where rounding is all
+    the noise there is, the others are far inside and have no say."""
     count = max(WALLS, len(slack) // 16)
     if len(slack) <= count:
-        return slice(None)
+        return None
     # A sample says which may be among them: to sort all of them out takes ten times as long.
     few = slack[::SAMPLED]
     most = min(len(few) - 1, int(1.2 * count / SAMPLED) + 16)

@@ -252,7 +252,7 @@ def _held_out(rung: Rung, seen: Observation, seed: int) -> tuple[np.ndarray, np.
             )  # fmt: skip
             if np.isfinite(moved.coordinates).all():
                 by = moved.coordinates - at.coordinates
-        levels = tangent.moved(by, others)
+        levels = tangent.only(others).moved(by)
         each = log_likelihood(
             jnp.asarray(levels), jnp.asarray(lo[others]), jnp.asarray(hi[others]),
             jnp.asarray(at.sigma, jnp.float32),

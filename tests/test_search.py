@@ -66,7 +66,7 @@ def test_the_nearest_to_the_walls_are_found():
     rows = _least(slack)
     assert isinstance(rows, np.ndarray)
     assert np.array_equal(np.sort(slack[rows]), np.arange(len(rows)))
-    assert isinstance(_least(slack[:1000]), slice)
+    assert _least(slack[:1000]) is None
     # However they lie among the others.
     slack = np.sort(slack)
     assert np.array_equal(_least(slack), np.arange(len(rows)))
