@@ -19,6 +19,7 @@ import os
 import pickle
 import platform
 import re
+import secrets
 import sys
 import tempfile
 import threading
@@ -90,9 +91,8 @@ def kept(function: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
-@functools.cache
-def _in_memory(key: tuple) -> Callable[..., Any]:
-    """As JAX has it."""
+def _flat(key: tuple) -> Callable[..., Any]:
+    """The function of its arrays alone."""
     function, tree, arrays, static, *_ = key
 
     def flat(*dynamic):
@@ -101,7 +101,13 @@ def _in_memory(key: tuple) -> Callable[..., Any]:
         return function(*jax.tree.unflatten(tree, leaves))
 
     flat.__name__ = function.__name__
-    return jax.jit(flat)
+    return flat
+
+
+@functools.cache
+def _in_memory(key: tuple) -> Callable[..., Any]:
+    """As JAX has it."""
+    return jax.jit(_flat(key))
 
 
 def _on_disk(folder: Path, key: tuple, dynamic: list[Any]) -> Callable[..., Any]:
@@ -112,9 +118,13 @@ def _on_disk(folder: Path, key: tuple, dynamic: list[Any]) -> Callable[..., Any]
         # Something that is called otherwise in every run.
         return _in_memory(key)
     file = folder / hashlib.sha256(name.encode()).hexdigest()
-    program = _read(file)
+    program = _read(file, dynamic)
     if program is None:
-        lowered = _in_memory(key).lower(*dynamic)
+        flat = _flat(key)
+        # An executable that JAX takes from its own cache is not whole when it is written once more:
+        # by this name it has none.
+        flat.__name__ += secrets.token_hex(8)
+        lowered = jax.jit(flat).lower(*dynamic)
         program = _compiled(lowered)
         _write(file, program, sorted(set(CALLED.findall(lowered.as_text()))))
     return program
@@ -128,17 +138,20 @@ def _compiled(lowered: Any) -> Any:
         return lowered.compile()
 
 
-def _read(file: Path) -> Callable[..., Any] | None:
+def _read(file: Path, dynamic: list[Any]) -> Callable[..., Any] | None:
     from jax.experimental.serialize_executable import deserialize_and_load
 
     try:
         called, *parts = pickle.loads(file.read_bytes())
-        return deserialize_and_load(*parts) if all(map(_made_known, called)) else None
-    except FileNotFoundError:
-        return None
+        if not all(map(_made_known, called)):
+            return None
+        program = deserialize_and_load(*parts)
+        # What is missing in it is missed when it runs.
+        jax.block_until_ready(program(*dynamic))
     except Exception:
-        # Of another version, or half of one: whatever is wrong with it, it is made anew.
+        # There is none, or it is of another version, or half of one: it is made anew.
         return None
+    return program
 
 
 def _write(file: Path, program: Any, called: list[str]) -> None:

@@ -101,6 +101,21 @@ def test_a_file_that_cannot_be_read_is_made_anew(traced, another_run, content):
     assert len(file.read_bytes()) == len(whole)
 
 
+def test_what_was_compiled_before_is_kept_whole(traced, another_run):
+    """An executable out of JAX's own cache, where it may be from before, is not: parts of it are
+    missing once it has been written again."""
+    another_run()
+    light = made(traced)
+    expected = light(MODEL, MASK, 1)
+    for _ in range(2):
+        (file,) = another_run()
+        file.unlink()
+        light(MODEL, MASK, 1)
+    another_run()
+    np.testing.assert_array_equal(light(MODEL, MASK, 1)[0], expected[0])
+    assert traced == [1, 1, 1]
+
+
 def test_without_a_folder_nothing_is_kept(traced, another_run, monkeypatch, tmp_path):
     monkeypatch.setenv(SWITCH, "off")
     assert not another_run()

@@ -3,12 +3,14 @@
 import sys
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from godfit import Mitchell, fit, search
 from godfit.observation import Observation, Picture, blurred, blurred_at
+from godfit.screen import _solve, _solved, apart, light_grid
 from godfit.search import _least
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
@@ -86,3 +88,37 @@ def test_informative_pixels_are_valid_and_lie_where_the_target_varies():
     among = (chosen % 200 >= 98) & (chosen % 200 < 122)
     assert 200 <= np.count_nonzero(among) < 260
     assert np.array_equal(picture.informative(10_000, 3), np.flatnonzero(valid))
+
+
+def test_starts_are_the_cheapest_that_are_apart():
+    """Against one after the other, cheapest first."""
+    rng = np.random.default_rng(2)
+    cost, places = rng.random((40, 12)), rng.random((40, 2))
+    shapes = np.column_stack([rng.random(12), rng.choice([0.2, 0.5, 0.8], 12)])
+    cost[3] = np.inf
+    expected: list[tuple[int, int]] = []
+    for flat in np.argsort(cost, axis=None):
+        i, j = divmod(int(flat), 12)
+        near = any(
+            np.abs(places[i] - places[a]).max() < 0.2 and abs(shapes[j, 1] - shapes[b, 1]) < 0.25
+            for a, b in expected
+        )
+        if np.isfinite(cost[i, j]) and not near:
+            expected.append((i, j))
+    assert apart(cost, places, shapes, 6) == expected[:6]
+    assert apart(cost, places, shapes, 999) == expected
+    assert len(light_grid(rng.random((64, 64)), 0)) % 2 == 0
+
+
+def test_lights_are_solved_for_in_halves():
+    rng = np.random.default_rng(3)
+    rays, shapes = rng.random((6, 5, 30)), rng.random((4, 5))
+    given = (jnp.asarray(shapes), *(jnp.asarray(rng.random(30)) for _ in range(3)))
+    with jax.enable_x64(False):
+        rays, given = jnp.asarray(rays, jnp.float32), [z.astype(jnp.float32) for z in given]
+        whole = _solve(rays, *given)
+        for halves, odd, expected in zip(
+            _solved(rays, *given), _solved(rays[:5], *given), whole, strict=True
+        ):
+            np.testing.assert_allclose(halves, expected, rtol=1e-5, atol=1e-5)
+            np.testing.assert_allclose(odd, expected[:5], rtol=1e-5, atol=1e-5)
