@@ -21,7 +21,6 @@ import platform
 import re
 import secrets
 import sys
-import tempfile
 import threading
 from collections.abc import Callable
 from importlib.metadata import version
@@ -34,6 +33,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 
 from godfit.cache import cache_folder, newest_source
+from godfit.image import atomic_write
 
 CALLED = re.compile(r"custom_call @(\w+)")
 LAPACK = "lapack_"
@@ -163,9 +163,7 @@ def _write(file: Path, program: Any, called: list[str]) -> None:
             return
         content = pickle.dumps((called, *serialize(program)))
         file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as half:
-            half.write(content)
-        os.replace(half.name, file)
+        atomic_write(file, content)
     except Exception:
         # No room, or a program that cannot be taken out of memory: there will be none to read.
         return

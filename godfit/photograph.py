@@ -173,12 +173,10 @@ def _climbed(
     seen, texture = small.observe(small.informative(PIXELS, seed)), grain(small)
 
     def climb(z: np.ndarray, sigmas: Sequence[float]) -> Point:
-        assert sigmas
-        point = Point(z, np.inf, False, 0)
-        for sigma in sigmas:
-            at, most = point.coordinates, max(sigma, texture)
-            point = solve(at, free, held, model, seen, most)
-        return point
+        *wide, last = (max(sigma, texture) for sigma in sigmas)
+        for sigma in wide:
+            z = solve(z, free, held, model, seen, sigma).coordinates
+        return solve(z, free, held, model, seen, last)
 
     def first(z: np.ndarray) -> Point:
         return climb(screenshot.with_background(z, held, model, seen), SIGMAS[:1])

@@ -85,11 +85,11 @@ def result(frame, kind):
 
 
 class _Named(NamedTuple):
-    """What was declared under a name; whether XLA knows it, if ``known`` is not empty."""
+    """What was declared under a name, and whether XLA knows it."""
 
     function: Any
     lock: threading.Lock
-    known: list[bool]
+    known: threading.Event
 
 
 _declared: dict[str, _Named] = {}
@@ -100,7 +100,7 @@ def declare(prefix: str, functions: dict[Any, Any]) -> dict[Any, str]:
     A name is the same in every run: a program that was kept asks for it."""
     names = {key: prefix + function.__name__ for key, function in functions.items()}
     for key, name in names.items():
-        _declared[name] = _Named(functions[key], threading.Lock(), [])
+        _declared[name] = _Named(functions[key], threading.Lock(), threading.Event())
     return names
 
 
@@ -111,9 +111,9 @@ def made_known(name: str) -> bool:
     if named is None:
         return False
     with named.lock:
-        if not named.known:
+        if not named.known.is_set():
             _register(name, named.function)
-            named.known.append(True)
+            named.known.set()
     return True
 
 
