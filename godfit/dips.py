@@ -58,13 +58,23 @@ def on_subset(
 ) -> list[np.ndarray]:
     """Sharp images, a few thousand pixels: the best point, and where density is in doubt, those
     that all pixels must decide between."""
-    seen = picture.observe(picture.informative(PIXELS, seed))
-    settled, tangent = settle(coordinates, model, seen, free, held)
-    along, dip, doubtful = _dips(settled, evidence(settled, tangent, seen), model, free)
-    if not free[along] or (not doubtful and settled.sigma < 2 * SIGMAS[0]):
+
+    def settled_on(count, start):
+        seen = picture.observe(picture.informative(count, seed))
+        settled, tangent = settle(start, model, seen, free, held)
+        return settled, seen, _dips(settled, evidence(settled, tangent, seen), model, free)
+
+    def content(settled, doubtful):
+        return not free[along] or (not doubtful and settled.sigma < 2 * SIGMAS[0])
+
+    settled, seen, (along, dip, doubtful) = settled_on(PIXELS, coordinates)
+    if content(settled, doubtful) or settled.sigma > FOREIGN or not _rays(settled, seen):
         return [settled.coordinates]
-    if settled.sigma > FOREIGN or not _rays(settled, seen):
-        return [settled.coordinates]
+    if settled.sigma < 2 * SIGMAS[0]:
+        # More pixels may leave no doubt, and are asked faster than other densities.
+        closer, _, (*_, doubtful) = settled_on(RIVAL_PIXELS, settled.coordinates)
+        if content(closer, doubtful):
+            return [closer.coordinates]
     say("other densities")
     found = reseed(settled, along, model, picture, free, held, seed)
     for _ in range(MAX_RESEEDS):
@@ -115,6 +125,11 @@ def _dips(
     dip = float(settled.coordinates[along]) / model.samples
     variance = at.covariance(free)[along, along]
     return along, dip, bool(free[along] and variance > (dip / 20) ** 2)
+
+
+def in_doubt(settled: Settled, at: Evidence, model: AbstractModel, free: np.ndarray) -> bool:
+    """Whether another dip may be the right one."""
+    return bool(settled.sigma > CONTENT) or _dips(settled, at, model, free)[-1]
 
 
 def next_dips(

@@ -21,6 +21,8 @@ from godfit.upsample import Texels
 LEVELS = 255.0
 # Larger pictures are searched at this size: coordinates do not depend on it.
 SEARCH_SIZE = 1024
+# How much they vary is seen at this one.
+SLOPES_SIZE = 256
 
 
 class Observation(eqx.Module):
@@ -51,6 +53,19 @@ class Observation(eqx.Module):
         image = image.reshape(self.pixels.shape[0], -1)
         image = jnp.broadcast_to(image, (self.pixels.shape[0], self.channels))
         return LEVELS * encode(image, self.transfer).reshape(-1)
+
+    def only(self, rows: np.ndarray) -> Observation:
+        """Of the pixels, those in ``rows``."""
+        pixels = np.asarray(self.pixels)[rows]
+        lo, hi = (np.asarray(z).reshape(-1, self.channels)[rows] for z in (self.lo, self.hi))
+        return dataclasses.replace(
+            self,
+            pixels=jnp.asarray(pixels),
+            lo=jnp.asarray(lo.reshape(-1)),
+            hi=jnp.asarray(hi.reshape(-1)),
+            whole=False,
+            texels=_texels(pixels, self.size, np.asarray(self.mask)),
+        )
 
     def with_mask(self, mask: np.ndarray) -> Observation:
         """The same pixels of the same picture under another mask, of any size."""
@@ -253,13 +268,12 @@ class Picture:
     @functools.cached_property
     def _slopes(self) -> np.ndarray:
         """(h w,) how much the target varies about each pixel, 0 where it is clipped."""
-        small = self.small
+        # Differences over a few pixels see slopes that single levels hide.
+        small = self.shrunk(-(-max(self.size) // SLOPES_SIZE))
         if min(small.size) < 2:
             return np.zeros(self.size[0] * self.size[1], np.float32)
         bright = np.minimum(small.levels.mean(-1), LEVELS - 1)
-        # Differences over a few pixels see slopes that single levels hide.
-        scale = max(1.0, max(small.size) / 256)
-        down, along = np.gradient(ndimage.gaussian_filter(bright, scale))
+        down, along = np.gradient(ndimage.gaussian_filter(bright, 1.0))
         slope = np.hypot(down, along)
         slope[small.clipped] = 0
         if small is not self:

@@ -14,10 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import ndtri
 
-from godfit.inference import Evidence, evidence
 from godfit.models import AbstractModel
 from godfit.observation import Observation
-from godfit.search import EXPLAINED, Settled, Tangent, settle
+from godfit.search import EXPLAINED, Settled, Tangent, best_sigma, settle, tangent_at
 
 # Levels within which values are alike, and so many of them that it is no chance.
 ALIKE, MANY = 1e-4, 4
@@ -52,24 +51,27 @@ def relieved(seen: Observation, prediction: np.ndarray, sigma: float) -> Observa
 
 
 def counted_once(
-    settled: Settled,
-    at: Evidence,
+    start: np.ndarray,
     model: AbstractModel,
-    seen: Observation,
+    whole: Observation,
     free: np.ndarray,
     held: np.ndarray,
     known: list[Tangent],
-) -> tuple[Settled, Evidence, Observation]:
-    """Settled again with flat areas counted once; and the observation that it is then a fit to.
-    ``known`` holds the tangent, if there is one, and is emptied as in ``settle``."""
-    whole, prediction = seen, at.prediction
+) -> tuple[Settled, Tangent, Observation]:
+    """Settled from ``start`` on with flat areas counted once; and the observation that it is then a
+    fit to. ``known`` holds the tangent at ``start``, if there is one, and is emptied as in
+    ``settle``."""
+    tangent = known.pop() if known else tangent_at(start, held, model, whole)
+    sigma, _ = best_sigma(tangent.prediction, whole)
+    settled, seen = Settled(start, sigma, -np.inf, False), None
     for _ in range(ROUNDS):
-        seen = relieved(whole, prediction, settled.sigma)
-        if seen is whole:
+        before, seen = seen, relieved(whole, tangent.prediction, settled.sigma)
+        if before is whole and seen is whole:
             break
-        settled, tangent = settle(settled.coordinates, model, seen, free, held, known=known)
-        known, prediction = [tangent], tangent.prediction
+        known = [tangent]
         del tangent
-    if prediction is not at.prediction:
-        at = evidence(settled, known[0], seen)
-    return settled, at, seen
+        settled, tangent = settle(
+            settled.coordinates, model, seen, free, held, known=known, spot_check=True
+        )
+    assert seen is not None
+    return settled, tangent, seen

@@ -113,11 +113,11 @@ def _solve(rays, shapes, own, target, weight):
     return lax.map(one, rays)
 
 
-def _solved(rays, *given) -> tuple[np.ndarray, ...]:
-    """``_solve``, half of the lights on each of two cores where they are an even number: for two
+def _in_halves(work, places: np.ndarray) -> tuple[np.ndarray, ...]:
+    """``work`` of half of the places on each of two cores where they are an even number: for two
     numbers it would be compiled twice."""
-    halves = jnp.split(rays, 2) if len(rays) % 2 == 0 else [rays]
-    parts = side_by_side(lambda part: [np.asarray(z) for z in _solve(part, *given)], halves)
+    halves = np.split(places, 2) if len(places) % 2 == 0 else [places]
+    parts = side_by_side(lambda half: [np.asarray(z) for z in work(half)], halves)
     return tuple(np.concatenate(each) for each in zip(*parts, strict=True))
 
 
@@ -147,7 +147,9 @@ def starts(
     places, told = places_for(light_grid(target, seed), given, lights)
     if shader.box:
         shapes, along, scale, own = np.ones((1, 2)), np.ones((1, 1), np.float32), 1.0, 0 * goal
-        rays = _box_rays(jnp.asarray(mask), jnp.asarray(places), jnp.asarray(at), model)
+
+        def read(spots):
+            return _box_rays(jnp.asarray(mask), jnp.asarray(spots), jnp.asarray(at), model)
     else:
         shapes = _shapes(given, model.samples)
         middles = (np.arange(STEPS) + 0.5) / STEPS
@@ -158,14 +160,19 @@ def starts(
         own = ndimage.map_coordinates(mask, at[:, ::-1].T, order=1, mode="nearest")
         own = own * np.float32(lights * shader.own)
         fine = ndimage.zoom(mask, 2, order=1, mode="nearest", grid_mode=True)
-        rays = read_rays(jnp.asarray(fine), jnp.asarray(places), jnp.asarray(at))
+
+        def read(spots):
+            return read_rays(jnp.asarray(fine), jnp.asarray(spots), jnp.asarray(at))
+
     groups = np.arange(len(places))[:, None]
     if lights > 1:
-        required = tuple(range(len(told)))
-        groups = _best_groups(rays, jnp.asarray(along), own, goal, trust, lights, required)
+        rays, required = read(places), tuple(range(len(told)))
+        groups = _best_groups(rays, along, own, goal, trust, lights, required)
         groups = np.array([_in_order(group, places, told) for group in groups])
         rays = rays[jnp.asarray(groups)].sum(1)
-    e, g, cost = _solved(rays, jnp.asarray(along), own, goal, trust)
+        e, g, cost = (np.asarray(z) for z in _solve(rays, along, own, goal, trust))
+    else:
+        e, g, cost = _in_halves(lambda spots: _solve(read(spots), along, own, goal, trust), places)
     spots = places[groups].reshape(len(groups), -1)
     found = []
     for i, j in apart(cost, spots, shapes, keep):

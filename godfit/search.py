@@ -18,6 +18,7 @@ from godfit.kept import kept
 from godfit.likelihood import log_likelihood
 from godfit.models import AbstractModel
 from godfit.observation import Observation, Picture
+from godfit.one_thread import one_thread
 from godfit.side_by_side import side_by_side
 from godfit.solver import Point, linearise, solve, solve_tangent
 
@@ -42,6 +43,12 @@ SAMPLED = 17
 SHORT = 4.0
 # Where there are no bands there are no kinks that matter.
 SHORT_WITHOUT = 0.05
+# One pixel of so many says whether a tangent still holds.
+SPOT_CHECKED = 128
+# Of sigma, the most that they may be off it.
+BENT = 0.1
+# A step that moves no value by more than this share of sigma leads nowhere.
+NOWHERE = 0.05
 # Values whose derivatives are not held twice.
 LARGE = 1 << 20
 SIGMA_VALUES, FINAL_SIGMA_VALUES = 1 << 12, 1 << 15
@@ -204,6 +211,13 @@ class Tangent(NamedTuple):
         return np.asarray(_along(self.prediction, self.jacobian, step))
 
 
+def tangent_at(z: np.ndarray, held: np.ndarray, model: AbstractModel, seen: Observation) -> Tangent:
+    """The tangent at a point: every pixel is rendered, with its derivatives."""
+    scale = model.scales(z)
+    prediction, jacobian = linearise(z, held, scale, model, seen)
+    return Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
+
+
 @kept
 def _along(prediction, jacobian, step):
     # By XLA: BLAS in numpy keeps a core busy, waiting, long after the product is done.
@@ -219,16 +233,19 @@ def settle(
     *,
     rounds: int = 10,
     known: list[Tangent] | None = None,
+    spot_check: bool = False,
 ) -> tuple[Settled, Tangent]:
     """Coordinates and noise that suit each other, until the log-likelihood stands still.
 
     The pixels are rendered once for each round. In between, the likelihood, which is far from
     quadratic when sigma is small, is solved on the tangent, with sigma and coordinates in turn.
     ``known`` holds the tangent at ``start``, if there is one already; it is taken out, so that
-    nobody keeps it for longer than it is of use.
+    nobody keeps it for longer than it is of use. With ``spot_check`` the pixels are not rendered
+    again where a few of them say that the tangent is as good.
     """
     start = np.clip(start, *(np.asarray(bound, np.float32) for bound in model.bounds()))
-    settled, tangent = _in_rounds(start, model, seen, free, held, rounds, known or [])
+    few = _drawn(seen) if spot_check else []
+    settled, tangent = _in_rounds(start, model, seen, free, held, rounds, known or [], few)
     if settled.sigma > EXPLAINED:
         # On the way a few percent were enough; errors are quoted in units of it.
         sigma, likelihood = best_sigma(tangent.prediction, seen, FINAL_SIGMA_VALUES, settled.sigma)
@@ -236,11 +253,9 @@ def settle(
     return settled, tangent
 
 
-def _in_rounds(start, model, seen, free, held, rounds, known) -> tuple[Settled, Tangent]:
-    def render(z):
-        scale = model.scales(z)
-        prediction, jacobian = linearise(z, held, scale, model, seen)
-        return Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
+def _in_rounds(start, model, seen, free, held, rounds, known, few) -> tuple[Settled, Tangent]:
+    def render(z, seen=seen):
+        return tangent_at(z, held, model, seen)
 
     tangent = known.pop() if known else render(start)
     sigma, likelihood = best_sigma(tangent.prediction, seen)
@@ -252,6 +267,9 @@ def _in_rounds(start, model, seen, free, held, rounds, known) -> tuple[Settled, 
         if goal.log_likelihood < best.log_likelihood + short:
             # So short a step that the tangent is as good as another rendering.
             return goal, there
+        exact = _exact(goal, there, few, render, free, model) if few else None
+        if exact is not None:
+            return exact, there
         z = best.coordinates + np.float32(part) * (goal.coordinates - best.coordinates)
         del there
         if len(tangent.prediction) > LARGE:
@@ -276,6 +294,41 @@ def _in_rounds(start, model, seen, free, held, rounds, known) -> tuple[Settled, 
     return best, tangent
 
 
+def _drawn(seen: Observation) -> list[tuple[np.ndarray, Observation]]:
+    """Some pixels, drawn at random, as observations of PIXELS each, with the values that are
+    theirs; none of a picture that has few."""
+    total = len(seen.pixels)
+    count = total // (SPOT_CHECKED * PIXELS)
+    drawn = np.random.default_rng(0).choice(total, (count, PIXELS), replace=False, shuffle=False)
+    values = (np.sort(drawn)[..., None] * seen.channels + np.arange(seen.channels)).reshape(
+        count, PIXELS * seen.channels
+    )
+    return [(v, seen.only(np.sort(rows))) for v, rows in zip(values, drawn, strict=True)]
+
+
+def _exact(
+    goal: Settled, tangent: Tangent, few, render, free: np.ndarray, model: AbstractModel
+) -> Settled | None:
+    """The point whose rendering has the levels of the ``tangent``, which is bent away from them at
+    the ``goal``: by least squares on a ``few`` pixels. None if there is no such point nearby."""
+    z, values = goal.coordinates, np.concatenate([v for v, _ in few])
+    of = tangent.only(values)
+
+    def off(z):
+        return np.concatenate([render(z, seen).prediction for _, seen in few]) - of.prediction
+
+    lower, upper = (np.asarray(bound, np.float32) for bound in model.bounds())
+    # What is on its bound stays there.
+    moving = free & (z > lower) & (z < upper)
+    with one_thread():
+        step, *_ = np.linalg.lstsq(of.jacobian[moving].T, off(z), rcond=None)
+    z = z.copy()
+    z[moving] -= step * tangent.scale[moving]
+    z = np.clip(z, lower, upper)
+    left = float(np.sqrt(np.square(off(z)).mean()))
+    return goal._replace(coordinates=z) if left < BENT * min(goal.sigma, EXPLAINED) else None
+
+
 def aim(
     at: Settled, tangent: Tangent, model: AbstractModel, seen: Observation, free: np.ndarray
 ) -> tuple[Settled, Tangent]:
@@ -283,11 +336,15 @@ def aim(
     z, sigma, likelihood = at.coordinates, at.sigma, at.log_likelihood
     lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
     levels, slack = tangent.prediction, _slack(tangent.prediction, lo, hi)
+    objected = None
     for _ in range(5):
         rows, of, walls = None, tangent, (seen.lo, seen.hi)
         if sigma < EXPLAINED:
             rows = _least(slack)
         if rows is not None:
+            if objected is not None and np.array_equal(rows, objected):
+                # Of many that are alike it is always the same ones that have a say.
+                break
             of, walls = tangent.only(rows), (lo[rows], hi[rows])
         moved = of.moved(z - at.coordinates)
         there = solve_tangent(
@@ -296,8 +353,10 @@ def aim(
         moved = tangent.moved(there - at.coordinates)
         suits, found = best_sigma(moved, seen, near=sigma)
         if rows is not None and found < likelihood:
+            if np.abs(moved - levels).max() < NOWHERE * sigma:
+                break
             # Values that were left out object: from now on they have a say.
-            slack = np.minimum(slack, _slack(moved, lo, hi))
+            slack, objected = np.minimum(slack, _slack(moved, lo, hi)), rows
             continue
         z, levels, before, sigma, likelihood = there, moved, sigma, suits, found
         if abs(sigma - before) < 0.05 * before:
