@@ -63,7 +63,7 @@ class Ladder:
         self.picture = base.picture
         self.seen = self.picture.observe(pixels_used(self.picture, seed, VALUES))
         self.few = self.picture.observe(self.picture.informative(search.PIXELS, seed))
-        self.views = search.blurred_views(self.picture.small, seed)
+        self.views = list(search.blurred_views(self.picture.small, seed))
         published = self.shader.convention.defaults
         self.held = {name: published.get(name, SHIPPED[name]) for name in SHIPPED}
         self.held |= {"light_x": place[0], "light_y": place[1]}

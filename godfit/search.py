@@ -7,7 +7,7 @@ starts that fall behind are dropped. ``settle`` finds coordinates and noise that
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import jax
@@ -19,7 +19,7 @@ from godfit.likelihood import log_likelihood
 from godfit.models import AbstractModel
 from godfit.observation import Observation, Picture
 from godfit.one_thread import one_thread
-from godfit.side_by_side import side_by_side
+from godfit.side_by_side import ahead
 from godfit.solver import Point, linearise, solve, solve_tangent
 
 PIXELS = 2048
@@ -145,12 +145,13 @@ def climb(
     seed: int,
     report: Callable[[str], None],
     ladder: Sequence[tuple[float, int, float]] = LADDER,
-    views: Sequence[Observation] = (),
+    views: Iterable[Observation] = (),
 ) -> Point:
     """The best of ``starts`` after the ladder of blurs; ``views`` are the picture's, if known."""
-    *blurs, sharp = views or blurred_views(picture, seed, ladder)
+    views = iter(views or blurred_views(picture, seed, ladder))
     points = [Point(start, np.inf, False, 0) for start in starts]
-    for (share, keep, sigma), seen in zip(ladder, blurs, strict=True):
+    for share, keep, sigma in ladder:
+        seen = next(views)
         report(f"{len(points)} starts, blur of {share * max(picture.size):.1f} pixels")
         points = [
             solve(p.coordinates, free, held, model, seen, sigma, bounded=False) for p in points
@@ -158,17 +159,19 @@ def climb(
         points.sort(key=lambda p: p.cost)
         # Without bands all starts are cheap to follow, and the right one may fall behind at first.
         points = _distinct(points)[: keep if model.banded else ALL]
+    (sharp,) = views
     points = [solve(p.coordinates, free, held, model, sharp, 0.3) for p in points]
     return min(points, key=lambda p: p.cost)
 
 
 def blurred_views(
     picture: Picture, seed: int, ladder: Sequence[tuple[float, int, float]] = LADDER
-) -> list[Observation]:
-    """A few pixels of the picture for every blur of the ladder, and the same ones sharp."""
+) -> Iterator[Observation]:
+    """A few pixels of the picture for every blur of the ladder, and the same ones sharp; while one
+    is used, those to come are made."""
     pixels = picture.informative(BLURRED_PIXELS, seed)
     blurs = [share * max(picture.size) for share, _, _ in ladder]
-    return side_by_side(lambda blur: picture.observe(pixels, blur), [*blurs, 0.0])
+    return ahead(lambda blur: picture.observe(pixels, blur), [*blurs, 0.0])
 
 
 def _distinct(points: list[Point]) -> list[Point]:

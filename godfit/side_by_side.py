@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
@@ -22,6 +22,12 @@ def cores() -> int:
 def side_by_side(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
     """``work`` of every item, in their order. In single precision, as the program is: JAX's
     settings are a thread's own."""
+    return list(ahead(work, items))
+
+
+def ahead(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    """As ``side_by_side``, but each result as soon as it is there: the others are worked on while
+    it is used."""
 
     def single(item: Item) -> Result:
         with jax.enable_x64(False):
@@ -30,6 +36,7 @@ def side_by_side(work: Callable[[Item], Result], items: Iterable[Item]) -> list[
     items = list(items)
     threads = min(cores(), len(items))
     if threads < 2:
-        return [single(item) for item in items]
+        yield from map(single, items)
+        return
     with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(single, items))
+        yield from pool.map(single, items)
