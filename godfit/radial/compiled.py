@@ -16,6 +16,8 @@ from godfit.radial.foreign import asks_version, declare, made_known, matrix, res
 
 # Rows and columns of a tile: an inner loop of a fixed length that fills the vector registers.
 HIGH, WIDE = 32, 64
+# Rows of a tile of all four sums: more do not stay in the fastest cache.
+HIGH_OF_FOUR = 12
 # Side of the cells that are known to be flat or not.
 CELL = 8
 # Points that are summed side by side.
@@ -139,11 +141,12 @@ def _rows(mask, flat, numbers, count, begin, out):
     reach = _reach(float(numbers[3]), float(numbers[4]), count, mask.shape[0])
     strip, slope = np.empty((reach, WIDE), mask.dtype), np.empty((reach, WIDE), mask.dtype)
     column = np.empty(WIDE, np.uint64), np.empty(WIDE, mask.dtype)
-    row = np.empty(HIGH, np.uint64), np.empty(HIGH, mask.dtype)
-    total = np.empty((sums, HIGH, WIDE), mask.dtype)
+    most = HIGH if sums == 1 else HIGH_OF_FOUR
+    row = np.empty(most, np.uint64), np.empty(most, mask.dtype)
+    total = np.empty((sums, most, WIDE), mask.dtype)
     level = np.empty(2)
-    for top in range(0, rows, HIGH):
-        high = min(HIGH, rows - top)
+    for top in range(0, rows, most):
+        high = min(most, rows - top)
         for left in range(0, width, WIDE):
             total[:] = 0
             level[:] = 0
