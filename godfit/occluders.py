@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from scipy import sparse
@@ -150,13 +151,18 @@ def _rim(model: DiscLight, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarra
     """(h, w) each: where the disc's edge may cut texels, and what there, by how bright it is, one
     that is open is worth. How they are cut the model does not know: they may be anything from dark
     to as bright as the disc, so that some are more than open."""
-    rim = np.asarray(model.rim(size))
-    return rim, np.where(rim, np.maximum(_lit(model, size), DARK), 1).astype(np.float32)
+    rim, lit = (np.asarray(each) for each in _disc_of(model, size))
+    return rim, np.where(rim, np.maximum(lit, DARK), 1).astype(np.float32)
 
 
 def _lit(model: DiscLight, size: tuple[int, int]) -> np.ndarray:
     """(h, w) how bright the light pass finds what is open."""
-    return np.asarray(model.occlusion(jnp.ones(size, jnp.float32)), np.float32)
+    return np.asarray(_disc_of(model, size)[1])
+
+
+@eqx.filter_jit
+def _disc_of(model: DiscLight, size: tuple[int, int]):
+    return model.rim(size), model.occlusion(jnp.ones(size, jnp.float32)).astype(jnp.float32)
 
 
 def _affordable(model: DiscLight, size: tuple[int, int], low: tuple[int, int]) -> int:
