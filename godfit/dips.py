@@ -59,21 +59,21 @@ def on_subset(
     """Sharp images, a few thousand pixels: the best point, and where density is in doubt, those
     that all pixels must decide between."""
 
-    def settled_on(count, start):
+    def settled_on(count: int, start: np.ndarray):
         seen = picture.observe(picture.informative(count, seed))
         settled, tangent = settle(start, model, seen, free, held)
         return settled, seen, _dips(settled, evidence(settled, tangent, seen), model, free)
 
-    def content(settled, doubtful):
-        return not free[along] or (not doubtful and settled.sigma < 2 * SIGMAS[0])
-
     settled, seen, (along, dip, doubtful) = settled_on(PIXELS, coordinates)
-    if content(settled, doubtful) or settled.sigma > FOREIGN or not _rays(settled, seen):
+    quiet = settled.sigma < 2 * SIGMAS[0]
+    if not free[along] or (quiet and not doubtful):
         return [settled.coordinates]
-    if settled.sigma < 2 * SIGMAS[0]:
+    if settled.sigma > FOREIGN or not _rays(settled, seen):
+        return [settled.coordinates]
+    if quiet:
         # More pixels may leave no doubt, and are asked faster than other densities.
         closer, _, (*_, doubtful) = settled_on(RIVAL_PIXELS, settled.coordinates)
-        if content(closer, doubtful):
+        if closer.sigma < 2 * SIGMAS[0] and not doubtful:
             return [closer.coordinates]
     say("other densities")
     found = reseed(settled, along, model, picture, free, held, seed)

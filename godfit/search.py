@@ -310,7 +310,12 @@ def _drawn(seen: Observation) -> list[tuple[np.ndarray, Observation]]:
 
 
 def _exact(
-    goal: Settled, tangent: Tangent, few, render, free: np.ndarray, model: AbstractModel
+    goal: Settled,
+    tangent: Tangent,
+    few: list[tuple[np.ndarray, Observation]],
+    render: Callable[[np.ndarray, Observation], Tangent],
+    free: np.ndarray,
+    model: AbstractModel,
 ) -> Settled | None:
     """The point whose rendering has the levels of the ``tangent``, which is bent away from them at
     the ``goal``: by least squares on a ``few`` pixels. None if there is no such point nearby."""
@@ -323,8 +328,11 @@ def _exact(
     lower, upper = (np.asarray(bound, np.float32) for bound in model.bounds())
     # What is on its bound stays there.
     moving = free & (z > lower) & (z < upper)
+    bent, slopes = off(z), of.jacobian[moving].T
+    if not (np.isfinite(bent).all() and np.isfinite(slopes).all()):
+        return None
     with one_thread():
-        step, *_ = np.linalg.lstsq(of.jacobian[moving].T, off(z), rcond=None)
+        step, *_ = np.linalg.lstsq(slopes, bent, rcond=None)
     z = z.copy()
     z[moving] -= step * tangent.scale[moving]
     z = np.clip(z, lower, upper)
