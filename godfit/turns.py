@@ -57,8 +57,7 @@ class Read(NamedTuple):
 class Turns:
     """``picture`` under ``model``, whose coordinates are ``held`` (p,) where not ``free`` (p,);
     ``unknown`` (h, w), of any size, is what shadows decide, ``texture`` the background's, in
-    levels; ``seed`` is of the ``rows`` pixels, most, that they are read from. Noises ``sigma`` are
-    in levels."""
+    levels; ``seed`` is of the pixels that they are read from. Noises ``sigma`` are in levels."""
 
     model: DiscLight
     picture: Picture
@@ -67,7 +66,6 @@ class Turns:
     free: np.ndarray
     held: np.ndarray
     seed: int
-    rows: int = ROWS
 
     @property
     def noise(self) -> float:
@@ -109,7 +107,7 @@ class Turns:
             return np.asarray(jacobian).reshape(len(z), len(pixels), -1)[self.free]
 
         question = asked(
-            self.model.moved(z, self.held), here, unknown, read.thought, self.rows, self.seed,
+            self.model.moved(z, self.held), here, unknown, read.thought, ROWS, self.seed,
             self.texture,
         )  # fmt: skip
         if question is None:

@@ -35,8 +35,6 @@ RAYS = 0.25
 FAINT = 0.1
 # The valley in which radius, veil and gain trade is long.
 ROUNDS = 25
-# Pixels that shadows, and the light, are read from where neighbours are only compared.
-BESIDE_ROWS, BESIDE_PIXELS = 8192, 2048
 # Turns of shadows and light on the picture, most.
 TURNS = 6
 # Degree of a background that is not constant, in the end: light makes up for what it cannot follow.
@@ -180,8 +178,8 @@ def _searched(
     changes (p,) that it may be off by. What lies beside it is looked for on the copy, a light pass
     of half the size on the picture itself."""
     picture, copy = turns.picture, looked.copy
-    small = dataclasses.replace(turns, picture=copy, texture=grain(copy), rows=BESIDE_ROWS)
-    few = copy.observe(copy.informative(BESIDE_PIXELS, seed + 2))
+    small = dataclasses.replace(turns, picture=copy, texture=grain(copy))
+    few = copy.observe(copy.informative(screenshot.MORE, seed + 2))
     whole = copy.size == picture.size
     scale = pass_scale and min(1.0, pass_scale * picture.size[0] / copy.size[0])
 
@@ -196,7 +194,6 @@ def _searched(
             # On a copy of that size shadows were those of such a pass.
             reads += [begin(end, mask, HALF) for mask in (end.mask, end.coarse)]
     small, read, doubts = best_around(small, begun, whole)
-    small = dataclasses.replace(small, rows=turns.rows)
     if whole:
         return small, read, doubts
     say("shadows of the whole picture")
