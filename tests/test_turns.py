@@ -240,5 +240,5 @@ def test_what_lies_beside_an_answer_is_found(known, monkeypatch):
     assert turns.total(read) < 0.5 * turns.total(alone)
     assert off[[LIGHT_X, LIGHT_Y]].max() < 0.5 / SIZE[1]
     assert (off[[i for i in known if i != GAIN]] == 0).all()
-    # What was found elsewhere is as good a start.
-    assert turns.total(again) <= turns.total(read)
+    # What was found elsewhere is as good a start, but for what sums in float32 leave open.
+    assert turns.total(again) <= (1 + 1e-6) * turns.total(read)
