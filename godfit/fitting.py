@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from godfit import dips, indirect, inputs, photograph, restarts, screen, screen_air, search, unaided
+from godfit.candidates import likeliest
 from godfit.contested import agreed
 from godfit.errors import InputError
 from godfit.flatland import inputs as plane
@@ -20,14 +21,12 @@ from godfit.flatland.model import Flatland
 from godfit.flatland.starts import starts as starts_in_plane
 from godfit.hoffman_preetham import HoffmanPreetham
 from godfit.image import Image
-from godfit.inference import Evidence, evidence, undetermined
+from godfit.inference import evidence, undetermined
 from godfit.inputs import Source
 from godfit.models import AbstractModel, Mitchell
-from godfit.observation import Observation, Picture
-from godfit.repeated import counted_once
+from godfit.observation import Picture
 from godfit.result import FitResult
 from godfit.scene import Scene, read_scene
-from godfit.search import EXPLAINED, Settled, Tangent
 from godfit.staged import Staged, place, resized
 from godfit.timing import compile_seconds
 from godfit.verdict import Found, verdict
@@ -285,7 +284,7 @@ def _look(
         candidates = dips.on_subset(picture, model, candidates[0], free, held, seed, say)
     seen = picture.observe(pixels_used(picture, seed, most))
     say(f"all {len(seen.pixels):,} pixels")
-    settled, at, counted = _settled(picture, model, candidates, seen, free, held, seed)
+    settled, at, counted = likeliest(picture, model, candidates, seen, free, held, seed)
     at = at.thinned(picture.repeats)
     found = Found(model, picture, counted, settled, at, free, held, opened, inquire)
     if inquire and free.any() and model.banded and restarts.doubtful(found):
@@ -294,44 +293,6 @@ def _look(
         remedy = restarts.remedy(found, lambda read: _starts(read, model, given, seed), seed)
         found = dataclasses.replace(found, remedy=remedy)
     return indirect.corrected(_hold_open(found, given)) if inquire else _hold_open(found, given)
-
-
-def _settled(
-    picture: Picture,
-    model: AbstractModel,
-    candidates: list[np.ndarray],
-    seen: Observation,
-    free: np.ndarray,
-    held: np.ndarray,
-    seed: int,
-) -> tuple[Settled, Evidence, Observation]:
-    """The likeliest of the candidates and, where density is in doubt, of the dips around them, on
-    all pixels of ``seen``; flat areas are counted once in the end."""
-    known: list[Tangent] = []
-    if len(candidates) == 1:
-        settled, tangent, counted = counted_once(candidates[0], model, seen, free, held, known)
-        at = evidence(settled, tangent, counted)
-        if not (model.banded and dips.in_doubt(settled, at, model, free)):
-            return settled, at, counted
-        candidates = [settled.coordinates]
-        # The derivatives of every pixel would only fill the memory.
-        del tangent
-    settled, tangent = max(
-        (search.settle(z, model, seen, free, held) for z in candidates),
-        key=lambda found: found[0].log_likelihood,
-    )
-    at = evidence(settled, tangent, seen)
-    first, known = settled, [tangent]
-    del tangent
-    settled, at = dips.next_dips(settled, at, model, seen, free, held)
-    settled, at = dips.beat_rivals(settled, at, model, picture, seen, free, held, seed)
-    settled, at = dips.beat_distant(settled, at, model, picture, seen, free, held, seed)
-    if settled.sigma > EXPLAINED:
-        return settled, at, seen
-    if settled is not first:
-        known.clear()
-    settled, tangent, counted = counted_once(settled.coordinates, model, seen, free, held, known)
-    return settled, evidence(settled, tangent, counted), counted
 
 
 def _starts(

@@ -303,10 +303,11 @@ def _drawn(seen: Observation) -> list[tuple[np.ndarray, Observation]]:
     total = len(seen.pixels)
     count = total // (SPOT_CHECKED * PIXELS)
     drawn = np.random.default_rng(0).choice(total, (count, PIXELS), replace=False, shuffle=False)
-    values = (np.sort(drawn)[..., None] * seen.channels + np.arange(seen.channels)).reshape(
-        count, PIXELS * seen.channels
-    )
-    return [(v, seen.only(np.sort(rows))) for v, rows in zip(values, drawn, strict=True)]
+    channels = np.arange(seen.channels)
+    return [
+        ((rows[:, None] * seen.channels + channels).reshape(-1), seen.only(rows))
+        for rows in np.sort(drawn)
+    ]
 
 
 def _exact(
