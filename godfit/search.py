@@ -43,6 +43,8 @@ SAMPLED = 17
 SHORT = 4.0
 # Where there are no bands there are no kinks that matter.
 SHORT_WITHOUT = 0.05
+# So few pixels are cheap to render again.
+FEW = 1 << 13
 # One pixel of so many says whether a tangent still holds.
 SPOT_CHECKED = 128
 # Of sigma, the most that they may be off it.
@@ -264,7 +266,8 @@ def _in_rounds(start, model, seen, free, held, rounds, known, few) -> tuple[Sett
     sigma, likelihood = best_sigma(tangent.prediction, seen)
     best = Settled(start, sigma, likelihood, False)
     part = 1.0
-    short = SHORT if model.banded or seen.foreign else SHORT_WITHOUT
+    kinked = (model.banded or seen.foreign) and len(seen.pixels) > FEW
+    short = SHORT if kinked else SHORT_WITHOUT
     for _ in range(rounds):
         goal, there = aim(best, tangent, model, seen, free)
         if goal.log_likelihood < best.log_likelihood + short:
