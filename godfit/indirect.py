@@ -39,6 +39,8 @@ CORRECTIONS = 8
 # Of what those pictures differ among themselves, the most by which the answer's may differ from the
 # target.
 ALIKE = 0.85
+# Of the noise that was found without it, the most by which a corrected answer may differ.
+WORSE = 2.0
 # What lies in the middle of two levels to within this much was rounded up or down, nobody knows.
 TIE = 1e-3
 # (h, w, c) levels of a model's picture after all that the target went through; what of it is not
@@ -98,7 +100,10 @@ def corrected(found: Found) -> Found:
     else:
         return found
     off = _processed_at(found, z, process, np.random.default_rng(1)) - picture.levels
-    if np.sqrt(np.mean(off[picture.valid] ** 2)) > ALIKE * max(apart, 2 * WITHIN_ROUNDING):
+    left = np.sqrt(np.mean(off[picture.valid] ** 2))
+    alike = left <= ALIKE * max(apart, 2 * WITHIN_ROUNDING)
+    # Under a wrong model corrections may lead to where pictures are so odd that any are alike.
+    if not alike or left > WORSE * max(settled.sigma, HALF):
         return found
     tangent = _tangent(found, z)
     likelihood = log_likelihood_at(tangent.prediction, found.seen, settled.sigma)
