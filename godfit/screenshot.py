@@ -16,10 +16,11 @@ import equinox as eqx
 import numpy as np
 from scipy import ndimage
 
-from godfit import screen_disc
+from godfit import glare, screen_disc
 from godfit.disc import EDGE, FIRST, TERMS, DiscLight, terms
-from godfit.explained import explained, grain
+from godfit.explained import explained, grain, predicted
 from godfit.image import Image
+from godfit.likelihood import log_likelihood
 from godfit.models import Mitchell
 from godfit.observation import LEVELS, Observation, Picture
 from godfit.segment import Segments, grown, light_colour, panels, segments
@@ -185,6 +186,7 @@ def look(
     say(f"{len(lights)} lights")
     begun = screen_disc.starts(small, small.mask, TERMS[reading.degree], lights, seed, STARTS)
     seen = small.observe(small.informative(FEW, seed))
+    begun += _likeliest(_as_given(glare.starts(picture, seed), given), still, model, seen)
     points = _rough(begun, free, still, model, seen)
     model = _with_taps(full, TAPS)
     still = _at_taps(fixed, full, model)
@@ -261,6 +263,28 @@ def _veiled(start: Mapping[str, float], veil: float | None) -> dict[str, float]:
         return {}
     gain = max(start["veil_gain"] / veil, 0.3 * start["gain"])
     return {"gain": gain * (1 - veil), "veil_gain": gain * veil}
+
+
+def _as_given(begun: list[dict[str, float]], given: Mapping[str, float]) -> list[dict[str, float]]:
+    """None that puts the light elsewhere than it was given."""
+    return [] if {"light_x", "light_y"} & set(given) else begun
+
+
+def _likeliest(
+    begun: list[dict[str, float]], held: np.ndarray, model: DiscLight, seen: Observation
+) -> list[dict[str, float]]:
+    """The best of starts as they are, for every light."""
+
+    def off(start: dict[str, float]) -> float:
+        z = with_background(coordinates_of(start, model), held, model, seen)
+        levels = predicted(z, held, model, seen)
+        sigma = np.float32(COARSE)
+        return -float(log_likelihood(levels, seen.lo, seen.hi, sigma, seen.foreign).sum())
+
+    best: dict[tuple[float, float], dict[str, float]] = {}
+    for start in sorted(begun, key=off):
+        best.setdefault((start["light_x"], start["light_y"]), start)
+    return list(best.values())
 
 
 def _reaching_into_glare(small: Picture) -> list[np.ndarray]:

@@ -1,0 +1,105 @@
+"""Starting points from the outline of glare.
+
+What is clipped says nothing of how bright it is, and where all else is dark the screening has
+nothing to go by. But where no shadow falls a disc's glow is as bright all around: the outline of
+what is clipped lies on circles about the light. They are found by consensus (Fischler & Bolles,
+Comm. ACM 24 (1981), 381): of many circles through three of its pixels, those that pass most others.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from scipy import ndimage
+
+from godfit.observation import LEVELS, Picture
+
+# Circles that are tried, kept, and the share of the outline that these pass at least.
+TRIES, KEEP, LEAST = 4000, 2, 0.2
+# Pixels of the outline, most and least, and how near a circle passes, in pixels and as a share
+# of the height, whichever is more.
+OUTLINE, FEW, NEAR, SHARE = 1000, 40, 1.0, 1 / 300
+# Lights that are no farther outside the picture, and radii, in picture heights.
+MARGIN, RADII = 0.3, (0.03, 1.0)
+# What a disc may be like of whose glow such a circle is where it clips: density, attenuation, and
+# by how much farther away the disc is seen at all.
+DENSITIES, KAPPAS, FARTHER = (0.5, 0.65, 0.8, 0.9, 0.97), (0.5, 2.5), (1.03, 1.2)
+# Of what the disc adds, the veil's share.
+VEILED = 0.1
+STEPS = 64
+
+
+def circles(picture: Picture, seed: int) -> np.ndarray:
+    """(n, 3) circles, at most KEEP of each, that the outlines of where any channel is clipped and
+    of where all are lie on: middles in texture coordinates, radii in picture heights."""
+    white = np.all(picture.levels >= LEVELS - picture.half, -1)
+    each = [_around(picture, glare, seed) for glare in (picture.clipped, white)]
+    return np.concatenate(each if np.any(white != picture.clipped) else each[:1])
+
+
+def _around(picture: Picture, glare: np.ndarray, seed: int) -> np.ndarray:
+    """Those of one outline, of ``glare`` (h, w)."""
+    h, w = picture.size
+    known = picture.valid & ~glare
+    rows, columns = np.nonzero(glare & picture.valid & ndimage.binary_dilation(known))
+    if len(rows) < FEW:
+        return np.zeros((0, 3))
+    rng = np.random.default_rng(seed)
+    some = rng.permutation(len(rows))[:OUTLINE]
+    x, y = (columns[some] + 0.5) / h, 1 - (rows[some] + 0.5) / h
+    three = rng.integers(0, len(x), (TRIES, 3))
+    found = _through(x[three], y[three])
+    u, v, radius = found.T
+    outside = np.maximum(np.abs(u * h / w - 0.5), np.abs(v - 0.5)) > 0.5 + MARGIN
+    # None of a triple on a line, or of one pixel twice, is a number.
+    found = found[(RADII[0] < radius) & (radius < RADII[1]) & ~outside]
+    near = max(NEAR / h, SHARE)
+    passed = np.zeros(len(found), int)
+    for i, (u, v, radius) in enumerate(found):
+        passed[i] = np.count_nonzero(np.abs(np.hypot(x - u, y - v) - radius) < near)
+    kept: list[np.ndarray] = []
+    for i in np.argsort(-passed):
+        if len(kept) == KEEP or passed[i] < LEAST * len(x):
+            break
+        if all(np.abs(found[i] - other).max() > 0.05 for other in kept):
+            kept.append(found[i])
+    return np.array(kept).reshape(-1, 3) * (h / w, 1, 1)
+
+
+def _through(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """(n, 3) middles and radii of the circles through three points each, (n, 3) in x and y."""
+    bx, by = x[:, 1] - x[:, 0], y[:, 1] - y[:, 0]
+    cx, cy = x[:, 2] - x[:, 0], y[:, 2] - y[:, 0]
+    b, c = bx**2 + by**2, cx**2 + cy**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        twice = 2 * (bx * cy - by * cx)
+        u, v = (cy * b - by * c) / twice, (bx * c - cx * b) / twice
+    return np.stack([x[:, 0] + u, y[:, 0] + v, np.hypot(u, v)], 1)
+
+
+def starts(picture: Picture, seed: int) -> list[dict[str, float]]:
+    """Lights in the middle of such circles, as ``screen_disc.starts`` gives them: discs whose glow
+    clips where the circle is."""
+    levels = picture.levels[picture.valid & ~picture.clipped]
+    room = 1 - float(np.median(levels)) / LEVELS if len(levels) else 1.0
+    found = []
+    for (u, v, clips), density, kappa, farther in itertools.product(
+        circles(picture, seed), DENSITIES, KAPPAS, FARTHER
+    ):
+        radius = clips * farther * (1 - density)
+        # As far along the ray as the disc begins.
+        t = np.linspace(1 - radius / clips, density, STEPS)
+        gain = room / max(float(np.exp(-kappa * t).mean()) * (t[-1] - t[0]), 1e-3)
+        found.append(
+            {
+                "light_x": float(u),
+                "light_y": float(v),
+                "radius": float(radius),
+                "kappa": float(kappa),
+                "density": float(density),
+                "gain": gain,
+                "veil_gain": VEILED * gain,
+            }
+        )
+    return found
