@@ -26,8 +26,9 @@ SHARP = 10.0
 SPECK = 2e-5
 PIXELS = 20_000
 # The light has a colour if channels change in another ratio by so much. Pixels are explained if
-# they are no more levels off, and a ratio is believed that explains so large a share of them.
-COLOURED, NEAR, MOST = 0.015, 1.5, 0.7
+# they are no more levels off, and a ratio is believed that explains so large a share of them, and
+# so much more than white does.
+COLOURED, NEAR, MOST, MORE = 0.015, 1.5, 0.7, 0.005
 
 
 class Segments(NamedTuple):
@@ -110,11 +111,13 @@ def light_colour(levels: np.ndarray, half: float, valid: np.ndarray) -> np.ndarr
         if known.mean() < 0.02:
             return white
         one, other = levels[..., a].astype(np.float64), levels[..., b].astype(np.float64)
-        found = field(one, known, 2, other)
+        found, plain = field(one, known, 2, other), field(one - other, known, 2)
         near = np.abs(one - found.whole)[known] < NEAR * max(1.0, found.slope)
         if found.slope <= 0 or near.mean() < MOST:
             return white
-        colour[a] = found.slope
+        # A background that varies as the light does passes for a colour of the light's.
+        if near.mean() > (np.abs(one - other - plain.whole)[known] < NEAR).mean() + MORE:
+            colour[a] = found.slope
     return colour if np.abs(colour - 1).max() > COLOURED else white
 
 

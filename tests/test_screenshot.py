@@ -173,6 +173,13 @@ def test_another_colour_and_panels_are_told_from_the_background(colour):
     assert np.abs(np.array([left, top, wide, tall]) - [120, 5, 35, 40]).max() <= 1
 
 
+@pytest.mark.parametrize("seed", [9018, 9034, 9061, 9062])
+def test_a_background_that_varies_as_the_light_does_gives_it_no_colour(seed):
+    screen = made(seed, "smooth")
+    colour = light_colour(screen.image.astype(np.float32), 0.5, beside_panels(screen))
+    np.testing.assert_array_equal(colour, 1)
+
+
 @pytest.mark.parametrize(
     ("scale", "tint"), [(1.0, ()), (0.5, ()), (1.0, ORANGE)], ids=["whole", "half", "coloured"]
 )
