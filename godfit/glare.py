@@ -11,9 +11,9 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from scipy import ndimage
 
 from godfit.observation import LEVELS, Picture
+from godfit.segment import grown
 
 # Circles that are tried, kept, and the share of the outline that these pass at least.
 TRIES, KEEP, LEAST = 4000, 2, 0.2
@@ -42,7 +42,7 @@ def _around(picture: Picture, glare: np.ndarray, seed: int) -> np.ndarray:
     """Those of one outline, of ``glare`` (h, w)."""
     h, w = picture.size
     known = picture.valid & ~glare
-    rows, columns = np.nonzero(glare & picture.valid & ndimage.binary_dilation(known))
+    rows, columns = np.nonzero(glare & picture.valid & grown(known))
     if len(rows) < FEW:
         return np.zeros((0, 3))
     rng = np.random.default_rng(seed)
