@@ -73,7 +73,7 @@ def test_starts_clip_on_the_circle():
     radii = {tuple(circle[:2]): circle[2] for circle in glare.circles(picture, 0)}
     room = LEVELS - 40
     begun = glare.starts(picture, 0)
-    assert len(begun) > 8
+    compared = 0
     for start in begun:
         z = screenshot.coordinates_of(start, model).astype(float)
         z[VEIL] = 0
@@ -81,14 +81,15 @@ def test_starts_clip_on_the_circle():
         shown = shown.reshape(h, w, -1)[..., 0]
         u, v = start["light_x"], start["light_y"]
         away, clips = np.hypot(x - u * w / h, y - v), radii[u, v]
-        assert shown[away > 1.5 * clips].max() < 0.2 * room
-        if start["radius"] * h < 4:
-            # Of a disc of a texel or two a picture says nothing.
-            continue
-        ring = np.median(shown[np.abs(away - clips) < 0.5 / h])
         ends = start["radius"] / (1 - start["density"]) / clips
-        # Of what ends sooner few taps are left.
-        assert ring == pytest.approx(room, rel=0.1) if ends > 1.1 else ring > 0.9 * room
+        if start["radius"] * h < 8 or ends < 1.1:
+            # Of a disc of a few texels, or a rim that few taps read, no picture is to be had.
+            continue
+        compared += 1
+        assert shown[away > 1.5 * clips].max() < 0.2 * room
+        ring = np.median(shown[np.abs(away - clips) < 0.5 / h])
+        assert ring == pytest.approx(room, rel=0.03)
+    assert compared > 8
 
 
 @pytest.mark.parametrize(
