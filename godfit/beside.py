@@ -10,10 +10,12 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
+from collections.abc import Container
 from typing import NamedTuple
 
 import numpy as np
 
+from godfit import glare
 from godfit.clear_rays import looks_alike, seen_clearly
 from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, SOFT
 from godfit.observation import shrink
@@ -29,10 +31,12 @@ SOME = 2
 # of density and powers of two of what the disc adds; half as far where that finds nothing, but at
 # the next dip.
 BESIDE = {RADIUS: 0.2, LIGHT_X: 0.004, LIGHT_Y: 0.004, DENSITY: 8.0, GAIN: 1.0}
-# Share of that where clear rays have shown the disc.
+# Share of that, of all of it where clear rays have shown the disc, of the light where glare has.
 CLOSE = 0.25
-# Answers that are left each time that it was looked around them.
-LEFT = (2, 1, 1, 1, 1, 1)
+# Answers that are looked around, most, each time.
+LEFT = (3, 2, 1, 1)
+# What leaves no more than so many times what rounding does is right.
+ROUNDING = 1.1
 # What leaves so much more before the rest has moved is given up, and how much more may be left by
 # what is as likely.
 WORSE, ALIKE = 1.25, 1.05
@@ -62,10 +66,16 @@ class Place(NamedTuple):
         return cost + (self.turns.total(self.read) - cost) * h * w / self.read.mask.size
 
     @property
+    def explained(self) -> bool:
+        """Nothing is left but what rounding leaves."""
+        rounding = (self.turns.picture.half / self.turns.noise) ** 2 / 6
+        return self.read.point.cost < ROUNDING * rounding * np.size(self.read.seen.lo)
+
+    @property
     def finished(self) -> bool:
-        """Nothing was found however near it was looked."""
+        """Nothing was found however near it was looked, or nothing is left to be explained."""
         near = all(by < BESIDE[i] / 4 for i, by in self.steps.items() if i != DENSITY)
-        return near and (DENSITY not in self.steps or self.dips_of is self.read)
+        return self.explained or near and (DENSITY not in self.steps or self.dips_of is self.read)
 
 
 def best_around(
@@ -82,20 +92,25 @@ def best_around(
         best = min(place.read, again, key=place.turns.total)
         return place._replace(read=best, found=(*place.found, again))
 
-    sizes = iter(side_by_side(functools.partial(solved, turns), itertools.chain(*begun)))
-    likely = [min((next(sizes) for _ in reads), key=_left) for reads in begun]
+    sizes = side_by_side(functools.partial(solved, turns), itertools.chain(*begun))
+    each = iter(sizes)
+    likely = [min((next(each) for _ in reads), key=_left) for reads in begun]
     places = side_by_side(afresh, likely)
     apart = {(read.mask.shape, place): read for place, reads in enumerate(begun) for read in reads}
     places += _cleared(turns, list(apart.values()), whole)
+    if not min(places, key=_left).explained:
+        places += _glared(sizes)
     for left in LEFT:
-        least = min(map(_left, places))
-        places = [place for place in places if place.left < FAR_WORSE * least]
-        places = sorted(map(_looked_around, places), key=_left)
-        places = places[:left]
+        places.sort(key=_left)
+        if places[0].explained:
+            break
+        places = [place for place in places if place.left < FAR_WORSE * places[0].left][:left]
+        places = [_looked_around(place) for place in places]
         if all(place.finished for place in places):
             break
+    best = min(places, key=_left)
     # What is nearly right knows better what is clear.
-    places = [places[0], *_cleared(turns, [places[0].read], whole)]
+    places = [best] if best.explained else [best, *_cleared(turns, [best.read], whole)]
     found = itertools.chain.from_iterable(place.found for place in places)
     turns, read, *_ = min(places, key=_left)
     limit, z = ALIKE * turns.total(read), read.point.coordinates
@@ -116,11 +131,16 @@ def solved(turns: Turns, begin: Read) -> Place:
     shadows that suit it, which from now on are compared with what was open at first sight."""
     hard = hardened(turns, begin)
     read = _first_sight(turns, hard.turned(_near(hard, begin), SOME))
-    return _place(hard, read, 1.0)
+    return _place(hard, read)
 
 
-def _place(turns: Turns, read: Read, share: float) -> Place:
-    steps = {index: share * by for index, by in BESIDE.items() if turns.free[index]}
+def _place(turns: Turns, read: Read, close: Container[int] = ()) -> Place:
+    """Looked around nearer by along coordinates that are ``close``."""
+    steps = {
+        index: by * (CLOSE if index in close else 1)
+        for index, by in BESIDE.items()
+        if turns.free[index]
+    }
     return Place(turns, read, (read,), steps)
 
 
@@ -144,14 +164,47 @@ def _cleared(turns: Turns, reads: list[Read], whole: bool) -> list[Place]:
 
 def _suited(turns: Turns, read: Read, coordinates: np.ndarray) -> Place:
     """What clear rays show (p,), held until the rest suits it."""
-    thought = shrink(np.asarray(turns.picture.mask), read.mask.shape[:2])
-    free = turns.free.copy()
-    free[[DENSITY, LIGHT_X, LIGHT_Y, RADIUS]] = False
-    held = dataclasses.replace(turns, free=free)
-    found = held.solved(Read.of(read.point, thought, read.seen).at(coordinates), NEAR[0])
+    held = _holding(turns, DENSITY, LIGHT_X, LIGHT_Y, RADIUS)
+    found = held.solved(_first_sight(turns, read).unshadowed().at(coordinates), NEAR[0])
     for sigma in NEAR[1:]:
         found = held.turn(found, sigma)
-    return _place(turns, turns.turned(found, SOME), CLOSE)
+    return _place(turns, turns.turned(found, SOME), BESIDE)
+
+
+def _glared(places: list[Place]) -> list[Place]:
+    """These with the light in the middle of the outline of glare, held until the rest suits it: the
+    likeliest of each size of light pass."""
+    turns = places[0].turns
+    if not turns.free[[LIGHT_X, LIGHT_Y]].all():
+        return []
+    circles = glare.circles(turns.picture, turns.seed, 1)
+
+    def begun(each: tuple[Place, np.ndarray]) -> tuple[Place, Read]:
+        place, circle = each
+        z = place.read.point.coordinates.copy()
+        z[[LIGHT_X, LIGHT_Y]] = circle[:2]
+        held = _holding(place.turns, LIGHT_X, LIGHT_Y)
+        read = held.solved(place.read.unshadowed().at(z), NEAR[0])
+        return place, held.turn(read, NEAR[0])
+
+    def suited(each: tuple[Place, Read]) -> Place:
+        place, read = each
+        held = _holding(place.turns, LIGHT_X, LIGHT_Y)
+        for sigma in NEAR[1:]:
+            read = held.turn(read, sigma)
+        return _place(place.turns, held.turned(read, SOME), (LIGHT_X, LIGHT_Y))
+
+    found = side_by_side(begun, itertools.product(places, circles))
+    found = sorted(found, key=lambda each: each[0]._replace(read=each[1]).left)
+    best = {read.mask.shape: (place, read) for place, read in reversed(found)}
+    return side_by_side(suited, best.values())
+
+
+def _holding(turns: Turns, *which: int) -> Turns:
+    """With these coordinates as they are."""
+    free = turns.free.copy()
+    free[list(which)] = False
+    return dataclasses.replace(turns, free=free)
 
 
 def _left(place: Place) -> float:
@@ -215,10 +268,7 @@ def _beside(turns: Turns, read: Read, index: int, by: float) -> Read:
         z[GAIN] *= 2**by
     else:
         z[index] += by
-    free = turns.free.copy()
-    free[index] = False
-    held = dataclasses.replace(turns, free=free)
-    there = held.turn(read.at(turns.inside(z)), turns.noise)
+    there = _holding(turns, index).turn(read.at(turns.inside(z)), turns.noise)
     if turns.total(there) > WORSE * turns.total(read):
         return there
     return turns.turn(there, turns.noise)

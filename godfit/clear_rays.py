@@ -41,6 +41,8 @@ LARGEST = 0.5
 CLOSER, TIMES = 12, 3
 # Radii from the light where rays that say something of the disc end, most.
 SHORT = 1.5
+# What is left of the usual by a disc that stands out, most.
+STANDS = 0.65
 # Share of the rays that are explained worst and left out, for something hidden stands in their way,
 # and discs that judge.
 ODD, JUDGES = 0.15, 8
@@ -93,8 +95,8 @@ class Rays(NamedTuple):
 
 def seen_clearly(turns: Turns, read: Read, cut: int) -> np.ndarray | None:
     """Coordinates (p,) of the disc about that of ``read`` that stands out most along clear rays;
-    None where too few are clear. A texel at its rim is in or out, or a mean of ``cut`` by ``cut``
-    parts that are."""
+    None where too few are clear, or none stands out. A texel at its rim is in or out, or a mean of
+    ``cut`` by ``cut`` parts that are."""
     z, free = read.point.coordinates, turns.free
     h, w = read.mask.shape[:2]
     starts = _starts(turns, (h, w))
@@ -125,6 +127,8 @@ def seen_clearly(turns: Turns, read: Read, cut: int) -> np.ndarray | None:
         return None
     # Where hardly any disc fits, anything stands out.
     usual = float(np.median([rays.usual for _, rays in found]))
+    if usual < LEVEL:
+        return None
     found = [(disc, rays._replace(usual=min(rays.usual, usual))) for disc, rays in found]
     found = sorted(found, key=_stands_out)[:CLOSER]
     steps = np.array([-1.0, 0.0, 1.0])
@@ -146,6 +150,8 @@ def seen_clearly(turns: Turns, read: Read, cut: int) -> np.ndarray | None:
             return min(itertools.chain.from_iterable(near)), rays
 
         found = sorted(side_by_side(closer, found), key=_stands_out)
+    if _stands_out(found[0]) > STANDS:
+        return None
     best, _ = found[0]
     z = z.copy()
     z[LIGHT_X], z[LIGHT_Y] = (best.column + 0.5) / w, 1 - (best.row + 0.5) / h

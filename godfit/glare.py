@@ -30,15 +30,15 @@ VEILED = 0.1
 STEPS = 64
 
 
-def circles(picture: Picture, seed: int) -> np.ndarray:
-    """(n, 3) circles, at most KEEP of each, that the outlines of where any channel is clipped and
-    of where all are lie on: middles in texture coordinates, radii in picture heights."""
+def circles(picture: Picture, seed: int, keep: int = KEEP) -> np.ndarray:
+    """(n, 3) circles that the outlines of where any channel is clipped and of where all are lie on,
+    at most so many (``keep``) of each: middles in texture coordinates, radii in picture heights."""
     white = np.all(picture.levels >= LEVELS - picture.half, -1)
-    each = [_around(picture, glare, seed) for glare in (picture.clipped, white)]
+    each = [_around(picture, glare, seed, keep) for glare in (picture.clipped, white)]
     return np.concatenate(each if np.any(white != picture.clipped) else each[:1])
 
 
-def _around(picture: Picture, glare: np.ndarray, seed: int) -> np.ndarray:
+def _around(picture: Picture, glare: np.ndarray, seed: int, keep: int) -> np.ndarray:
     """Those of one outline, of ``glare`` (h, w)."""
     h, w = picture.size
     known = picture.valid & ~glare
@@ -60,7 +60,7 @@ def _around(picture: Picture, glare: np.ndarray, seed: int) -> np.ndarray:
         passed[i] = np.count_nonzero(np.abs(np.hypot(x - u, y - v) - radius) < near)
     kept: list[np.ndarray] = []
     for i in np.argsort(-passed):
-        if len(kept) == KEEP or passed[i] < LEAST * len(x):
+        if len(kept) == keep or passed[i] < LEAST * len(x):
             break
         if all(np.abs(found[i] - other).max() > 0.05 for other in kept):
             kept.append(found[i])
