@@ -108,17 +108,19 @@ def _bounded(
     ``least`` and ``most`` (k,), and whether it is: where the guesses run out, the best of them."""
     best, gain = start, 0.0
     low, high = start <= least, start >= most
+    # Half as long: what that rounds, the next guess or the next sweep makes up for.
+    short = gram.astype(np.float32)
     for _ in range(GUESSES):
         found = np.where(low, least, np.where(high, most, start))
-        left = slope - gram @ (found - start)
+        left = slope - short @ (found - start).astype(np.float32)
         (free,) = np.nonzero(~(low | high))
         if len(free):
-            factor = cho_factor(gram[np.ix_(free, free)], lower=True, overwrite_a=True)
-            found[free] += cho_solve(factor, left[free])
-        left = slope - gram @ (found - start)
+            found[free] += _solved(short, gram, free, left[free])
+        by = (found - start).astype(np.float32)
+        left = slope - short @ by
         inside = np.clip(found, least, most)
-        by = inside - start
-        now = float(slope @ by - by @ gram @ by / 2)
+        by = (inside - start).astype(np.float32)
+        now = float(slope @ by - by @ (short @ by) / 2)
         if now > gain:
             best, gain = inside, now
         # Those that end past a bound go to it, those at one that would rather be off it leave.
@@ -128,6 +130,22 @@ def _bounded(
             return best, True
         low, high = (low & ~up) | below, (high & ~down) | above
     return best, False
+
+
+def _solved(
+    short: np.ndarray, gram: np.ndarray, which: np.ndarray, goal: np.ndarray
+) -> np.ndarray:
+    """``gram``'s equations of some unknowns, ``which`` (k,), in single precision (``short``) where
+    that will do."""
+    for matrix in (short, gram):
+        try:
+            factor = cho_factor(
+                matrix[np.ix_(which, which)], lower=True, overwrite_a=True, check_finite=False
+            )
+        except np.linalg.LinAlgError:
+            continue
+        return cho_solve(factor, goal.astype(matrix.dtype), check_finite=False)
+    raise np.linalg.LinAlgError("shares: expected a positive definite matrix")
 
 
 @compiled

@@ -37,10 +37,12 @@ HELD = 1 << 23
 
 
 class Shadows(NamedTuple):
-    """``mask`` (h, w), how open every texel is, and the ``step`` (q,) of what moved along."""
+    """``mask`` (h, w), how open every texel is, the ``step`` (q,) of what moved along, and the
+    ``weight`` (n,) of every pixel: less than 1 where it is off by much."""
 
     mask: np.ndarray
     step: np.ndarray
+    weight: np.ndarray
 
 
 class Question(NamedTuple):
@@ -60,25 +62,29 @@ class Question(NamedTuple):
     weights: np.ndarray
     noise: float
 
-    def answered(self, slopes: Callable[[np.ndarray], np.ndarray] | None = None) -> Shadows:
+    def answered(
+        self,
+        slopes: Callable[[np.ndarray], np.ndarray] | None = None,
+        near: Shadows | None = None,
+    ) -> Shadows:
         """``slopes`` of row-major pixels (n,), (q, n, c), are the derivatives of their levels by
-        what may move at the same time."""
+        what may move at the same time. One round does from another answer that is ``near``."""
         picture, goal, design, noise = self.picture, self.goal, self.design, self.noise
         moves = np.zeros((len(goal), 0), np.float32)
         if slopes is not None:
             moves = (slopes(self.pixels) * self.weights).sum(-1).T.astype(np.float32)
-        out = picture.mask.reshape(-1).copy()
+        out = (picture.mask if near is None else near.mask).reshape(-1).copy()
         share, step = out[self.columns] * self.counts, np.zeros(0)
-        weight = np.ones_like(goal)
+        weight = np.ones_like(goal) if near is None else near.weight
         each = noise**2 * len(goal) / (picture.size[0] * picture.size[1])
-        for _ in range(ROUNDS):
+        for _ in range(ROUNDS if near is None else 1):
             along = Along(moves, weight, noise)
             share = lasso(design, goal, along, self.thought, share, PULL * each, FLIP * each)
             step = along.step(goal - design @ share)
             off = np.abs(goal - design @ share - moves @ step)
             weight = np.minimum(1, noise * HUBER / np.maximum(off, 1e-9)).astype(np.float32)
         out[self.columns] = share / self.counts
-        return Shadows(out.reshape(picture.mask.shape).astype(np.float32), step)
+        return Shadows(out.reshape(picture.mask.shape).astype(np.float32), step, weight)
 
 
 def asked(

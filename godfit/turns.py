@@ -112,14 +112,14 @@ class Turns:
         )  # fmt: skip
         if question is None:
             return read
-        mask, step = question.answered(slopes)
+        both = question.answered(slopes)
         moved = z.copy()
-        moved[self.free] += (step * scale[self.free]).astype(np.float32)
-        there = read.with_mask(mask).at(self.inside(moved))
+        moved[self.free] += (both.step * scale[self.free]).astype(np.float32)
+        there = read.with_mask(both.mask).at(self.inside(moved))
         # Where the tangent does not reach, the light stays for the time being.
         if self.surprisal(there) < REACH * self.surprisal(read):
             return there
-        return read.with_mask(question.answered().mask)
+        return read.with_mask(question.answered(near=both).mask)
 
     def inside(self, coordinates: np.ndarray) -> np.ndarray:
         """The nearest (p,) that are within the model's bounds."""
