@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-from collections.abc import Container
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -27,14 +27,16 @@ from godfit.valley import DOUBT
 NEAR = (4.0, 2.0, 1.0)
 # Turns of shadows and light before what they make is judged.
 SOME = 2
-# How far beside an answer it is looked for at first: shares of the radius and of the picture, dips
-# of density and powers of two of what the disc adds; half as far where that finds nothing, but at
-# the next dip.
-BESIDE = {RADIUS: 0.2, LIGHT_X: 0.004, LIGHT_Y: 0.004, DENSITY: 8.0, GAIN: 1.0}
+# How far beside an answer it is looked for at first: shares of the radius, periods of the light,
+# dips of density and powers of two of what the disc adds; half as far where that finds nothing, but
+# no nearer than the next dip. Those of the light lie where the last tap comes to the next texel.
+BESIDE = {RADIUS: 0.2, LIGHT_X: 1.0, LIGHT_Y: 1.0, DENSITY: 8.0, GAIN: 1.0}
 # Share of that, of all of it where clear rays have shown the disc, of the light where glare has.
-CLOSE = 0.25
-# Answers that are looked around, most, each time.
-LEFT = (3, 2, 1, 1)
+CLOSE, NEARBY = 0.25, 0.5
+# Of a radius, least that it is taken to be at once.
+LEAST = 0.3
+# Answers that are looked around, most, each time, and steps on along one way.
+LEFT, ON = (3, 2, 1, 1), 4
 # What leaves no more than so many times what rounding does is right.
 ROUNDING = 1.1
 # What leaves so much more before the rest has moved is given up, and how much more may be left by
@@ -49,14 +51,14 @@ HARD, WIDE = 0.1, 1.0
 
 class Place(NamedTuple):
     """The best answer ``read`` of all that was ``found`` by ``turns`` around a beginning, how far
-    beside it, by coordinate, is looked next, and the answer whose next dips of density are known.
-    """
+    beside it, by coordinate, is looked next, and the answers whose next dips of density are known,
+    by the coordinate that leads there."""
 
     turns: Turns
     read: Read
     found: tuple[Read, ...]
     steps: dict[int, float]
-    dips_of: Read | None = None
+    dips_of: dict[int, Read]
 
     @property
     def left(self) -> float:
@@ -74,8 +76,11 @@ class Place(NamedTuple):
     @property
     def finished(self) -> bool:
         """Nothing was found however near it was looked, or nothing is left to be explained."""
-        near = all(by < BESIDE[i] / 4 for i, by in self.steps.items() if i != DENSITY)
-        return self.explained or near and (DENSITY not in self.steps or self.dips_of is self.read)
+        return self.explained or all(
+            self.dips_of.get(i) is self.read if _dips(self.turns, self.read, i, by) else near
+            for i, by in self.steps.items()
+            for near in (by < BESIDE[i] / 4,)
+        )
 
 
 def best_around(
@@ -134,14 +139,11 @@ def solved(turns: Turns, begin: Read) -> Place:
     return _place(hard, read)
 
 
-def _place(turns: Turns, read: Read, close: Container[int] = ()) -> Place:
-    """Looked around nearer by along coordinates that are ``close``."""
-    steps = {
-        index: by * (CLOSE if index in close else 1)
-        for index, by in BESIDE.items()
-        if turns.free[index]
-    }
-    return Place(turns, read, (read,), steps)
+def _place(turns: Turns, read: Read, close: Mapping[int, float] | None = None) -> Place:
+    """Looked around nearer by, by these shares, along coordinates that are ``close``."""
+    close = close or {}
+    steps = {i: by * close.get(i, 1.0) for i, by in BESIDE.items() if turns.free[i]}
+    return Place(turns, read, (read,), steps, {})
 
 
 def _cleared(turns: Turns, reads: list[Read], whole: bool) -> list[Place]:
@@ -168,7 +170,7 @@ def _suited(turns: Turns, read: Read, coordinates: np.ndarray) -> Place:
     found = held.solved(_first_sight(turns, read).unshadowed().at(coordinates), NEAR[0])
     for sigma in NEAR[1:]:
         found = held.turn(found, sigma)
-    return _place(turns, turns.turned(found, SOME), BESIDE)
+    return _place(turns, turns.turned(found, SOME), dict.fromkeys(BESIDE, CLOSE))
 
 
 def _glared(places: list[Place]) -> list[Place]:
@@ -192,7 +194,8 @@ def _glared(places: list[Place]) -> list[Place]:
         held = _holding(place.turns, LIGHT_X, LIGHT_Y)
         for sigma in NEAR[1:]:
             read = held.turn(read, sigma)
-        return _place(place.turns, held.turned(read, SOME), (LIGHT_X, LIGHT_Y))
+        close = dict.fromkeys((LIGHT_X, LIGHT_Y), NEARBY)
+        return _place(place.turns, held.turned(read, SOME), close)
 
     found = side_by_side(begun, itertools.product(places, circles))
     found = sorted(found, key=lambda each: each[0]._replace(read=each[1]).left)
@@ -212,21 +215,44 @@ def _left(place: Place) -> float:
 
 
 def _looked_around(place: Place) -> Place:
-    """Once to either side along every coordinate, from the best so far."""
+    """Once to either side along every coordinate, from the best so far, and on that way while it
+    helps."""
     turns, best, found, steps, dips_of = place
-    steps = steps.copy()
+    steps, dips_of = steps.copy(), dips_of.copy()
     for index, by in steps.items():
-        next_dips = index == DENSITY and by <= 1
-        if next_dips and dips_of is best:
+        next_dips = _dips(turns, best, index, by) == 1
+        if next_dips and dips_of.get(index) is best:
             continue
-        there = side_by_side(functools.partial(_beside, turns, best, index), (-by, by))
+        sides = (-by, by)
+        there = side_by_side(functools.partial(_beside, turns, best, index), sides)
         found += tuple(there)
-        if next_dips:
-            dips_of = best
-        elif turns.total(best) <= min(map(turns.total, there)):
-            steps[index] = by / 2
-        best = min(best, *there, key=turns.total)
+        totals = [turns.total(read) for read in there]
+        if not min(totals) < turns.total(best):
+            if next_dips:
+                dips_of[index] = best
+            else:
+                steps[index] = by / 2
+            continue
+        side = int(np.argmin(totals))
+        best = there[side]
+        for _ in range(ON):
+            further = _beside(turns, best, index, sides[side])
+            found += (further,)
+            if not turns.total(further) < turns.total(best):
+                break
+            best = further
     return Place(turns, best, found, steps, dips_of)
+
+
+def _dips(turns: Turns, read: Read, index: int, by: float) -> int:
+    """How many dips of density such a step (``by``) leads across, at least one; 0 of a coordinate
+    that density does not go along with."""
+    if index not in (DENSITY, RADIUS) or not turns.free[DENSITY]:
+        return 0
+    density = float(read.point.coordinates[DENSITY])
+    if index == RADIUS:
+        by *= (1 - density) * turns.model.samples / density
+    return max(1, round(abs(by)))
 
 
 def _first_sight(turns: Turns, read: Read) -> Read:
@@ -252,23 +278,26 @@ def _near(turns: Turns, read: Read) -> Read:
 def _beside(turns: Turns, read: Read, index: int, by: float) -> Read:
     """What is found where one coordinate is moved, its shadows and the rest first, and then itself:
     single taps and texels make the way there too rough to be gone down."""
-    z = read.point.coordinates.copy()
-    if index == RADIUS:
+    z, held = read.point.coordinates.copy(), [index]
+    dips, density = _dips(turns, read, index, by), float(z[DENSITY])
+    if index == DENSITY:
+        z[DENSITY] *= 1 + np.sign(by) * dips / turns.model.samples
+    elif index == RADIUS:
         # Of a larger disc that is seen from as far, and as brightly.
+        if dips:
+            z[DENSITY] *= 1 - np.sign(by) * dips / turns.model.samples
+            by = max((1 - z[DENSITY]) / max(1 - density, 1e-6) - 1, LEAST - 1)
+            held.append(DENSITY)
         z[RADIUS] *= 1 + by
-        if turns.free[DENSITY]:
-            z[DENSITY] = 1 - (1 + by) * (1 - z[DENSITY])
         if turns.free[GAIN]:
             z[GAIN] /= 1 + by
         elif turns.free[0]:
-            z[0] *= z[DENSITY] / read.point.coordinates[DENSITY] / (1 + by)
-    elif index == DENSITY:
-        z[DENSITY] *= 1 + by / turns.model.samples
+            z[0] *= z[DENSITY] / density / (1 + by)
     elif index == GAIN:
         z[GAIN] *= 2**by
     else:
-        z[index] += by
-    there = _holding(turns, index).turn(read.at(turns.inside(z)), turns.noise)
+        z[index] += by / (density * read.mask.shape[1 if index == LIGHT_X else 0])
+    there = _holding(turns, *held).turn(read.at(turns.inside(z)), turns.noise)
     if turns.total(there) > WORSE * turns.total(read):
         return there
     return turns.turn(there, turns.noise)

@@ -132,9 +132,7 @@ def _bounded(
     return best, False
 
 
-def _solved(
-    short: np.ndarray, gram: np.ndarray, which: np.ndarray, goal: np.ndarray
-) -> np.ndarray:
+def _solved(short: np.ndarray, gram: np.ndarray, which: np.ndarray, goal: np.ndarray) -> np.ndarray:
     """``gram``'s equations of some unknowns, ``which`` (k,), in single precision (``short``) where
     that will do."""
     for matrix in (short, gram):
