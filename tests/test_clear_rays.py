@@ -131,3 +131,22 @@ def test_where_nothing_is_clear_nothing_is_told():
         z = np.asarray(model.coordinates(), np.float32)
         begin = Read.of(Point(z, np.inf, False, 0), shut, picture.observe(np.arange(200)))
         assert seen_clearly(turns, begin, 1) is None
+
+
+@pytest.mark.parametrize("spread", [0.0, 6.0], ids=["even", "noise"])
+def test_a_disc_that_does_not_stand_out_is_none(spread):
+    """Rays are clear, but show nothing, or nothing of a disc."""
+    rng = np.random.default_rng(4)
+    target = np.array([90, 100, 110]) + spread * rng.normal(size=(*SIZE, 3))
+    target = np.round(target).astype(np.uint8)
+    open_ = np.ones(SIZE, np.float32)
+    picture = Picture.make(image(target, "none"), open_, None, None)
+    with jax.enable_x64(False):
+        shading = Mitchell(0.03, 0.985, 0.8, 0.7, [LIGHT], "dawntime", 20)
+        model = DiscLight(shading, [RADIUS_THERE, 1e-3, VEIL], np.zeros((1, 3)))
+        free = np.ones(len(model.parameters), bool)
+        held = np.full(len(free), np.nan, np.float32)
+        turns = Turns(model, picture, open_ == 0, 0.0, free, held, 0)
+        z = np.asarray(model.coordinates(), np.float32)
+        begin = Read.of(Point(z, np.inf, False, 0), open_, picture.observe(np.arange(200)))
+        assert seen_clearly(turns, begin, 1) is None

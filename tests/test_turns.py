@@ -8,7 +8,7 @@ import pytest
 from scipy import sparse
 from scipy.optimize import minimize
 
-from godfit import beside
+from godfit import beside, glare
 from godfit import lasso as lasso_module
 from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
 from godfit.lasso import Along, lasso
@@ -217,9 +217,10 @@ def test_a_soft_edge_is_read_where_there_is_one(edge):
 )
 def test_what_lies_beside_an_answer_is_found(known, monkeypatch):
     """From a light that is two texels off, with shadows that suit it, and what is known stays.
-    Without clear rays, which would tell at once."""
+    Without clear rays and glare, which would tell at once."""
     monkeypatch.setattr(beside, "seen_clearly", lambda *_: None)
-    monkeypatch.setattr(beside, "BESIDE", {LIGHT_X: 0.01, DENSITY: 1.0, RADIUS: 0.2})
+    monkeypatch.setattr(glare, "circles", lambda *_: np.zeros((0, 3)))
+    monkeypatch.setattr(beside, "BESIDE", {LIGHT_X: 1.3, DENSITY: 1.0, RADIUS: 0.2})
     picture, truth, turns = lit(1e-5, bar=True)
     held, free, z = turns.held.copy(), turns.free.copy(), truth.copy()
     held[known], free[known] = truth[known], False
@@ -242,3 +243,71 @@ def test_what_lies_beside_an_answer_is_found(known, monkeypatch):
     assert (off[[i for i in known if i != GAIN]] == 0).all()
     # What was found elsewhere is as good a start, but for what sums in float32 leave open.
     assert turns.total(again) <= (1 + 1e-6) * turns.total(read)
+
+
+@pytest.mark.usefixtures("single_precision")
+def test_the_middle_of_glare_is_held_until_its_shadows_suit_it(monkeypatch):
+    """From a light that is eight texels off, farther than is looked beside."""
+    monkeypatch.setattr(beside, "seen_clearly", lambda *_: None)
+    monkeypatch.setattr(beside, "BESIDE", {})
+    picture, truth, turns = lit(1e-5, bar=True)
+    z = truth.copy()
+    z[LIGHT_X] += 8 / SIZE[1]
+    still = dataclasses.replace(turns, free=turns.free & (np.arange(len(z)) != LIGHT_X))
+    still, stuck = begun(still, picture, z)
+    turns = dataclasses.replace(turns, held=still.held)
+    _, read, _ = beside.best_around(turns, [[stuck]], whole=False)
+    assert np.abs(read.point.coordinates - truth)[[LIGHT_X, LIGHT_Y]].max() < 1 / SIZE[1]
+    # One that is given stays.
+    turns = dataclasses.replace(turns, free=still.free)
+    _, read, _ = beside.best_around(turns, [[stuck]], whole=False)
+    assert read.point.coordinates[LIGHT_X] == z[LIGHT_X]
+
+
+@pytest.mark.usefixtures("single_precision")
+def test_what_rounding_alone_is_left_of_is_not_looked_around(monkeypatch):
+    picture, truth, turns = lit(1e-5, bar=False)
+    turns, read = begun(turns, picture, truth)
+    assert beside.solved(turns, read).explained
+    z = truth.copy()
+    z[LIGHT_X] += 2 / SIZE[1]
+    held = dataclasses.replace(turns, free=turns.free & (np.arange(len(z)) != LIGHT_X))
+    assert not beside.solved(held, begun(held, picture, z)[1]).explained
+    monkeypatch.setattr(beside, "_looked_around", None)
+    _, there, _ = beside.best_around(turns, [[read]], whole=False)
+    assert np.abs(there.point.coordinates - truth)[LIGHT_X] < 0.1 / SIZE[1]
+
+
+def test_radius_and_density_go_from_dip_to_dip(monkeypatch):
+    """A radius and the density with which it is seen from as far, by whole taps of the density."""
+    picture, truth, turns = lit(1e-5, bar=False)
+    seen = picture.observe(np.arange(100))
+    read = Read.of(Point(truth, 1.0, True, 0), picture.mask, seen)
+    tried = []
+
+    def turn(self, read, sigma):
+        tried.append((self.free, read.point.coordinates))
+        return read
+
+    monkeypatch.setattr(Turns, "turn", turn)
+    monkeypatch.setattr(Turns, "total", lambda self, read: 2.0 if len(tried) else 1.0)
+    # .2 of what is left of the ray, .2, are 2 of 40 taps over a density of .8.
+    for by, taps in ((0.2, -2), (-0.2, 2), (0.02, -1)):
+        tried.clear()
+        beside._beside(turns, read, RADIUS, by)
+        free, z = tried[0]
+        assert not free[[RADIUS, DENSITY]].any()
+        assert z[DENSITY] == pytest.approx(0.8 * (1 + taps / 40))
+        assert z[RADIUS] / (1 - z[DENSITY]) == pytest.approx(0.15 / 0.2)
+        assert z[GAIN] * z[RADIUS] == pytest.approx(truth[GAIN] * 0.15)
+
+
+def test_shares_are_solved_for_in_double_precision_where_single_will_not_do():
+    rng = np.random.default_rng(0)
+    far = rng.normal(size=(6, 5))
+    for noise in (1.0, 1e-5):
+        gram = far @ far.T + noise**2 * np.eye(6)
+        goal = gram @ np.ones(6)
+        which = np.arange(6)
+        found = lasso_module._solved(gram.astype(np.float32), gram, which, goal)
+        np.testing.assert_allclose(found, 1, atol=1e-3)
