@@ -20,6 +20,8 @@ TRIES, KEEP, LEAST = 4000, 2, 0.2
 # Pixels of the outline, most and least, and how near a circle passes, in pixels and as a share
 # of the height, whichever is more.
 OUTLINE, FEW, NEAR, SHARE = 1000, 40, 1.0, 1 / 300
+# Levels by which a glow is fainter one pixel farther away, most.
+STEP = 24.0
 # Lights that are no farther outside the picture, and radii, in picture heights.
 MARGIN, RADII = 0.3, (0.03, 1.0)
 # What a disc may be like of whose glow such a circle is where it clips: density, attenuation, and
@@ -34,15 +36,19 @@ def circles(picture: Picture, seed: int, keep: int = KEEP) -> np.ndarray:
     """(n, 3) circles that the outlines of where any channel is clipped and of where all are lie on,
     at most so many (``keep``) of each: middles in texture coordinates, radii in picture heights."""
     white = np.all(picture.levels >= LEVELS - picture.half, -1)
-    each = [_around(picture, glare, seed, keep) for glare in (picture.clipped, white)]
+    outlines = (picture.clipped, picture.levels.max(-1)), (white, picture.levels.min(-1))
+    each = [_around(picture, *outline, seed, keep) for outline in outlines]
     return np.concatenate(each if np.any(white != picture.clipped) else each[:1])
 
 
-def _around(picture: Picture, glare: np.ndarray, seed: int, keep: int) -> np.ndarray:
-    """Those of one outline, of ``glare`` (h, w)."""
+def _around(
+    picture: Picture, glare: np.ndarray, levels: np.ndarray, seed: int, keep: int
+) -> np.ndarray:
+    """Those of one outline, of ``glare`` (h, w), where what is beside it is nearly as bright, in
+    ``levels`` (h, w): a sun ends at once, and so does what an object or its shadow cuts off."""
     h, w = picture.size
-    known = picture.valid & ~glare
-    rows, columns = np.nonzero(glare & picture.valid & grown(known))
+    faint = picture.valid & ~glare & (levels >= LEVELS - STEP)
+    rows, columns = np.nonzero(glare & picture.valid & grown(faint))
     if len(rows) < FEW:
         return np.zeros((0, 3))
     rng = np.random.default_rng(seed)

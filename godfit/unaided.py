@@ -49,6 +49,10 @@ NO_RAYS = (
     "no rays were found: a light explains {:.0f}% of what varies in this picture, a smooth "
     "background the rest"
 )
+NO_LIGHT = (
+    "no rays were found: where a light would stand, at {:.2f}, {:.2f}, nothing is brighter than "
+    "the rest"
+)
 COARSE = "the light pass looks half the picture's size; give --pass-scale to say otherwise"
 DISAGREE = "only {} of {} starts agree on the light: look at fit.png; give --start light_x=..."
 HIDDEN = (
@@ -109,7 +113,12 @@ def found_in(
         opened.append((0, [3]))
     turns = Turns(model, picture, reading.unknown, grain(picture), free, held, seed)
     seen = picture.observe(screenshot.blocks(picture, seed))
-    rays = looked.explained > RAYS
+    # Beside the picture a light may be one of which nothing but the veil is seen.
+    dark = bool(
+        np.abs(best.coordinates[LIGHT_X : LIGHT_Y + 1] - 0.5).max() < 0.5
+        and _out_of_sight(model, best.coordinates, held, picture)
+    )
+    rays = looked.explained > RAYS and not dark
     first = screenshot.enlarged(best.mask, looked.copy.mask, picture.mask)
     rounds = ROUNDS if rays else 1
     if rays:
@@ -140,6 +149,8 @@ def found_in(
         looked.lights, settled.coordinates[LIGHT_X : LIGHT_Y + 1]
     )
     objection = "" if rays else NO_RAYS.format(100 * max(looked.explained, 0))
+    if dark and looked.explained > RAYS:
+        objection = NO_LIGHT.format(*best.coordinates[LIGHT_X : LIGHT_Y + 1])
     remarks = []
     if free[GAIN] and free[VEIL] and _out_of_sight(model, settled.coordinates, held, picture):
         opened.append((GAIN, [VEIL]))

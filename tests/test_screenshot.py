@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 import godfit
 from godfit import beside, screen_disc, screenshot, unaided
-from godfit.disc import FIRST, GAIN, VEIL, DiscLight
+from godfit.disc import FIRST, GAIN, LIGHT_X, LIGHT_Y, VEIL, DiscLight
 from godfit.explained import explained, grain
 from godfit.inputs import image, shrink_mask
 from godfit.likelihood import ANY_LEVEL, deviance_residuals, interval
@@ -342,10 +342,16 @@ def test_next_to_no_light_has_derivatives():
     assert np.isfinite(jax.jacfwd(picture)(jnp.asarray(z, jnp.float32))).all()
 
 
-def test_without_rays_a_fit_does_not_converge(screen, looks, monkeypatch):
-    """And says so: here as if light explained but little of what varies."""
+@pytest.mark.parametrize("dark", [False, True], ids=["little", "dark"])
+def test_without_rays_a_fit_does_not_converge(screen, looks, dark, monkeypatch):
+    """And says so: here as if light explained but little of what varies, or as if its disc were no
+    brighter than the veil."""
     screen, _ = screen
-    seen = looks[0]._replace(explained=0.9 * unaided.RAYS)
+    seen = looks[0]._replace(explained=(2 if dark else 0.9) * unaided.RAYS)
+    if dark:
+        z = seen.ends[0].coordinates.copy()
+        z[LIGHT_X], z[LIGHT_Y], z[GAIN] = 0.4, 0.6, 0.05 * z[VEIL]
+        seen = seen._replace(ends=(seen.ends[0]._replace(coordinates=z),))
     monkeypatch.setattr(screenshot, "look", lambda *_: seen)
     samples = int(screen.truth["samples"])
     result = godfit.fit(
@@ -353,6 +359,7 @@ def test_without_rays_a_fit_does_not_converge(screen, looks, monkeypatch):
     )
     assert not result.converged
     assert "no rays were found" in result.message
+    assert ("nothing is brighter" in result.message) == dark
 
 
 def test_what_is_held_makes_the_same_light_of_fewer_taps():
