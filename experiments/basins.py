@@ -21,6 +21,7 @@ from stability_judges import SAMPLES, TRUTH, light_pass, mask_of
 from godfit import FitResult, search
 from godfit import fit as whole_fit
 from godfit.cache import keep_compiled
+from godfit.settling import settle
 
 KINDS = ("triangles", "ellipses", "clouds")
 REACH = 0.5
@@ -39,7 +40,7 @@ def arrives(result: FitResult, start: np.ndarray) -> bool:
             picture.small, model, [start.astype(np.float32)], free, held, 0, lambda _: None
         )
         seen = picture.observe(picture.informative(search.PIXELS, 0))
-        settled, _ = search.settle(point.coordinates, model, seen, free, held)
+        settled, _ = settle(point.coordinates, model, seen, free, held)
         values = {k: float(v) for k, v in model.moved(settled.coordinates, held).values().items()}
     light = np.hypot(values["light_x"] - TRUTH["light_x"], values["light_y"] - TRUTH["light_y"])
     return bool(

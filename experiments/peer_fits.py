@@ -18,7 +18,7 @@ import numpy as np
 import optimistix as optx
 from scipy import ndimage, optimize
 
-from godfit import Mitchell, fit, search
+from godfit import Mitchell, fit, settling
 from godfit.solver import linearise
 
 NAMES = ("exposure", "decay", "density", "weight", "light_x", "light_y")
@@ -330,7 +330,7 @@ def godfit_fit(problem: Problem, start: dict[str, float] | None, *, whole: bool)
             watch(np.asarray(_parameters_at(z, held, model)))
             return linearise(z, held, scale, model, seen)
 
-        with mock.patch.object(search, "linearise", shown):
+        with mock.patch.object(settling, "linearise", shown):
             answer()
 
     answer()

@@ -33,11 +33,11 @@ SOME = 2
 BESIDE = {RADIUS: 0.2, LIGHT_X: 1.0, LIGHT_Y: 1.0, DENSITY: 8.0, GAIN: 1.0}
 # Share of that, of all of it where clear rays have shown the disc, of the light where glare has.
 CLOSE, NEARBY = 0.25, 0.5
-# Of a radius, least that it is taken to be at once.
+# Share of a radius that one step leaves of it, least.
 LEAST = 0.3
 # Answers that are looked around, most, each time, and steps on along one way.
 LEFT, ON = (3, 2, 1, 1), 4
-# What leaves no more than so many times what rounding does is right.
+# What leaves less than so many times what rounding leaves is right.
 ROUNDING = 1.1
 # What leaves so much more before the rest has moved is given up, and how much more may be left by
 # what is as likely.
@@ -76,11 +76,13 @@ class Place(NamedTuple):
     @property
     def finished(self) -> bool:
         """Nothing was found however near it was looked, or nothing is left to be explained."""
-        return self.explained or all(
-            self.dips_of.get(i) is self.read if _dips(self.turns, self.read, i, by) else near
-            for i, by in self.steps.items()
-            for near in (by < BESIDE[i] / 4,)
-        )
+        return self.explained or all(map(self._exhausted, self.steps))
+
+    def _exhausted(self, index: int) -> bool:
+        by = self.steps[index]
+        if _dips(self.turns, self.read, index, by):
+            return self.dips_of.get(index) is self.read
+        return by < BESIDE[index] / 4
 
 
 def best_around(
@@ -168,9 +170,8 @@ def _suited(turns: Turns, read: Read, coordinates: np.ndarray) -> Place:
     """What clear rays show (p,), held until the rest suits it."""
     held = _holding(turns, DENSITY, LIGHT_X, LIGHT_Y, RADIUS)
     found = held.solved(_first_sight(turns, read).unshadowed().at(coordinates), NEAR[0])
-    for sigma in NEAR[1:]:
-        found = held.turn(found, sigma)
-    return _place(turns, turns.turned(found, SOME), dict.fromkeys(BESIDE, CLOSE))
+    found = turns.turned(_nearer(held, found), SOME)
+    return _place(turns, found, dict.fromkeys(BESIDE, CLOSE))
 
 
 def _glared(places: list[Place]) -> list[Place]:
@@ -181,26 +182,31 @@ def _glared(places: list[Place]) -> list[Place]:
         return []
     circles = glare.circles(turns.picture, turns.seed, 1)
 
-    def begun(each: tuple[Place, np.ndarray]) -> tuple[Place, Read]:
+    def begun(each: tuple[Place, np.ndarray]) -> Place:
         place, circle = each
         z = place.read.point.coordinates.copy()
         z[[LIGHT_X, LIGHT_Y]] = circle[:2]
         held = _holding(place.turns, LIGHT_X, LIGHT_Y)
         read = held.solved(place.read.unshadowed().at(z), NEAR[0])
-        return place, held.turn(read, NEAR[0])
+        return place._replace(read=held.turn(read, NEAR[0]))
 
-    def suited(each: tuple[Place, Read]) -> Place:
-        place, read = each
+    def suited(place: Place) -> Place:
         held = _holding(place.turns, LIGHT_X, LIGHT_Y)
-        for sigma in NEAR[1:]:
-            read = held.turn(read, sigma)
-        close = dict.fromkeys((LIGHT_X, LIGHT_Y), NEARBY)
-        return _place(place.turns, held.turned(read, SOME), close)
+        found = held.turned(_nearer(held, place.read), SOME)
+        return _place(place.turns, found, dict.fromkeys((LIGHT_X, LIGHT_Y), NEARBY))
 
     found = side_by_side(begun, itertools.product(places, circles))
-    found = sorted(found, key=lambda each: each[0]._replace(read=each[1]).left)
-    best = {read.mask.shape: (place, read) for place, read in reversed(found)}
+    best: dict[tuple[int, ...], Place] = {}
+    for place in sorted(found, key=_left):
+        best.setdefault(place.read.mask.shape, place)
     return side_by_side(suited, best.values())
+
+
+def _nearer(turns: Turns, read: Read) -> Read:
+    """Turn by turn, with less and less noise allowed for."""
+    for sigma in NEAR[1:]:
+        read = turns.turn(read, sigma)
+    return read
 
 
 def _holding(turns: Turns, *which: int) -> Turns:

@@ -7,9 +7,10 @@ import numpy as np
 from godfit import dips
 from godfit.inference import Evidence, evidence
 from godfit.models import AbstractModel
+from godfit.noise import EXPLAINED
 from godfit.observation import Observation, Picture
 from godfit.repeated import counted_once
-from godfit.search import EXPLAINED, Settled, settle
+from godfit.settling import Settled, settle
 
 
 def likeliest(

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from godfit.observation import Observation
-from godfit.search import Tangent
+from godfit.settling import Tangent
 
 # Cells a side, in pixels, that a picture of 256 pixels is cut into; never less than a JPEG's unit.
 CELLS, LEAST_CELL = 8, 16

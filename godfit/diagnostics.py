@@ -19,7 +19,7 @@ from godfit.image import decode
 from godfit.models import Mitchell
 from godfit.observation import LEVELS, Picture, render, shrink
 from godfit.screen import read_rays
-from godfit.search import Tangent
+from godfit.settling import Tangent
 
 # Pixels that are asked.
 PIXELS = 1 << 12

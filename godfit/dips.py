@@ -15,17 +15,10 @@ import numpy as np
 
 from godfit.inference import Evidence, evidence, misfit
 from godfit.models import AbstractModel
+from godfit.noise import EXPLAINED, SIGMAS, WITHIN_ROUNDING
 from godfit.observation import Observation, Picture, blurred_at
-from godfit.search import (
-    EXPLAINED,
-    LADDER,
-    PIXELS,
-    SIGMAS,
-    WITHIN_ROUNDING,
-    Settled,
-    settle,
-    veil,
-)
+from godfit.search import LADDER, PIXELS
+from godfit.settling import Settled, settle, veil
 from godfit.solver import solve
 from godfit.valley import BEYOND_DOUBT, DOUBT, RIVALS, predictions, reseed, rivals
 

@@ -27,6 +27,7 @@ from godfit.models import AbstractModel, Mitchell
 from godfit.observation import Picture
 from godfit.result import FitResult
 from godfit.scene import Scene, read_scene
+from godfit.settling import settle
 from godfit.staged import Staged, place, resized
 from godfit.timing import compile_seconds
 from godfit.verdict import Found, verdict
@@ -339,7 +340,7 @@ def _look_on_stage(
     )
     z = np.append(flat.settled.coordinates[:4], z[4:]).astype(np.float32)
     say("scene and scattering")
-    settled, tangent = search.settle(z, model, flat.seen, free, held)
+    settled, tangent = settle(z, model, flat.seen, free, held)
     at = evidence(settled, tangent, flat.seen)
     found = Found(model, picture, flat.seen, settled, at, free, held, opened, inquire)
     return _hold_open(found, given)
@@ -358,7 +359,7 @@ def _hold_open(found: Found, given: dict[str, float]) -> Found:
         # Exposure has wandered on noise, and weight with it: back to what a user would expect.
         default = model.defaults.get("exposure", coordinates[0])
         coordinates[0] = given.get("exposure", default)
-    settled, tangent = search.settle(coordinates, model, found.seen, free, found.held)
+    settled, tangent = settle(coordinates, model, found.seen, free, found.held)
     return dataclasses.replace(
         found,
         settled=settled,

@@ -23,8 +23,9 @@ from godfit.image import encode
 from godfit.inference import evidence
 from godfit.jpeg import compressed, settings_of
 from godfit.models import AbstractModel, Mitchell
+from godfit.noise import EXPLAINED, WITHIN_ROUNDING, log_likelihood_at
 from godfit.observation import LEVELS, Picture, render
-from godfit.search import EXPLAINED, WITHIN_ROUNDING, Settled, Tangent, log_likelihood_at
+from godfit.settling import Settled, Tangent
 from godfit.solver import linearise, solve_tangent
 from godfit.verdict import Found
 

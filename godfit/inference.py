@@ -10,7 +10,7 @@ import numpy as np
 from godfit.kept import kept
 from godfit.likelihood import interval
 from godfit.observation import Observation
-from godfit.search import Settled, Tangent
+from godfit.settling import Settled, Tangent
 from godfit.side_by_side import side_by_side
 
 # Beyond these, noise is no explanation of what is left.

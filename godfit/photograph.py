@@ -13,7 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from godfit import inputs, screen_disc, screenshot, search
+from godfit import inputs, screen_disc, screenshot
 from godfit.bright_pass import DARK, SOFTNESS, THRESHOLD, BrightPass, brightness
 from godfit.disc import DENSITY, GAIN, LIGHT_X, LIGHT_Y, TERMS, terms
 from godfit.errors import InputError
@@ -23,6 +23,7 @@ from godfit.inference import evidence
 from godfit.models import Mitchell
 from godfit.observation import LEVELS, Observation, Picture
 from godfit.segment import grown
+from godfit.settling import settle
 from godfit.side_by_side import side_by_side
 from godfit.solver import Point, solve
 from godfit.unaided import DISAGREE, LEAST, NO_RAYS, next_dip
@@ -91,7 +92,7 @@ def found_in(
     seen = picture.observe(screenshot.blocks(picture, seed))
     say(f"all of the {len(seen.pixels):,} pixels")
     z = solve(z, free, held, model, seen, max(1.0, grain(picture))).coordinates
-    settled, tangent = search.settle(z, model, seen, free, held)
+    settled, tangent = settle(z, model, seen, free, held)
     at = evidence(settled, tangent, seen).within(model.ranges(settled.coordinates))
     found = Found(model, picture, seen, settled, at, free, held, opened, False)
     if free[DENSITY]:

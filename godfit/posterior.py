@@ -20,9 +20,10 @@ from godfit.errors import SIMULATED, InputError
 from godfit.fitting import pixels_used
 from godfit.inference import evidence
 from godfit.likelihood import interval
+from godfit.noise import SIGMAS
 from godfit.repeated import relieved
 from godfit.result import FitResult
-from godfit.search import SIGMAS, Settled, Tangent
+from godfit.settling import Settled, Tangent
 from godfit.solver import linearise
 
 DRAWS, WARM_UP = 4000, 500

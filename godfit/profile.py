@@ -22,15 +22,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from godfit import search
 from godfit.errors import SIMULATED, InputError
 from godfit.fitting import pixels_used
 from godfit.inference import evidence
 from godfit.models import AbstractModel, Vector
+from godfit.noise import WITHIN_ROUNDING
 from godfit.observation import Observation
 from godfit.repeated import relieved
 from godfit.result import FitResult
-from godfit.search import Settled, Tangent
+from godfit.settling import Settled, Tangent, aim, settle
 
 # The 95% quantile of chi-squared with one degree of freedom, and its root.
 QUANTILE, ROOT = 3.841459, 1.959964
@@ -84,7 +84,7 @@ def _interval(result: FitResult, name: str) -> tuple[float, float]:
         _end(line.on_tangent, best, way * line.stderr, bound, share, TRIES)
         for way, bound in ((-1, row.lower), (1, row.upper))
     )
-    if result.noise_levels > search.WITHIN_ROUNDING:
+    if result.noise_levels > WITHIN_ROUNDING:
         low, high = (
             _end(line.rendered, best, end - best, bound, share, RENDERED_TRIES)
             for end, bound in ((low, row.lower), (high, row.upper))
@@ -186,7 +186,7 @@ class _Line:
             step[self.index] = by
             moved = self.tangent._replace(prediction=self.tangent.moved(step))
             begun = self.at._replace(coordinates=start)
-            self.found[value] = search.aim(begun, moved, self.model, self.seen, self.others)[0]
+            self.found[value] = aim(begun, moved, self.model, self.seen, self.others)[0]
         return self.found[value]
 
     def on_tangent(self, value: float) -> float:
@@ -198,5 +198,5 @@ class _Line:
         held = self.held.copy()
         held[self.index] = value
         start = self._settled(value).coordinates
-        settled, _ = search.settle(start, self.model, self.seen, self.others, held)
+        settled, _ = settle(start, self.model, self.seen, self.others, held)
         return settled.log_likelihood

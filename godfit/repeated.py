@@ -15,8 +15,9 @@ import numpy as np
 from scipy.special import ndtri
 
 from godfit.models import AbstractModel
+from godfit.noise import EXPLAINED, best_sigma
 from godfit.observation import Observation
-from godfit.search import EXPLAINED, Settled, Tangent, best_sigma, settle, tangent_at
+from godfit.settling import Settled, Tangent, settle, tangent_at
 
 # Levels within which values are alike, and so many of them that it is no chance.
 ALIKE, MANY = 1e-4, 4

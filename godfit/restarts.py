@@ -12,7 +12,9 @@ from scipy import ndimage
 from godfit import diagnostics, search
 from godfit.dips import HOPELESS
 from godfit.inference import evidence, misfit
+from godfit.noise import WITHIN_ROUNDING
 from godfit.observation import Picture, grey
+from godfit.settling import Settled, settle
 from godfit.verdict import Found
 
 # Coordinates in which starts that agree have ended: density and the light, to this.
@@ -25,7 +27,7 @@ REACH, FINE = 6, 2.0
 
 def doubtful(found: Found) -> bool:
     """Whether what is left is more than rounding and unlike noise."""
-    if found.settled.sigma <= 2 * search.WITHIN_ROUNDING:
+    if found.settled.sigma <= 2 * WITHIN_ROUNDING:
         return False
     return not misfit(found.at.prediction, found.seen).like_noise
 
@@ -35,17 +37,17 @@ def again(found: Found, starts: list[np.ndarray], seed: int, say: Callable[[str]
     how many of them ended where it is."""
     model, picture, free, held = found.model, found.picture, found.free, found.held
     seen = picture.observe(picture.informative(search.PIXELS, seed))
-    own, _ = search.settle(found.settled.coordinates, model, seen, free, held)
+    own, _ = settle(found.settled.coordinates, model, seen, free, held)
     ends, best = [], own
     for start in starts:
         say("other starts")
         point = search.climb(picture.small, model, [start], free, held, seed, lambda _: None)
-        end, _ = search.settle(point.coordinates, model, seen, free, held)
+        end, _ = settle(point.coordinates, model, seen, free, held)
         ends.append(end.coordinates)
         if end.log_likelihood > best.log_likelihood:
             best = end
     if best is not own:
-        settled, tangent = search.settle(best.coordinates, model, found.seen, free, held)
+        settled, tangent = settle(best.coordinates, model, found.seen, free, held)
         if settled.log_likelihood > found.settled.log_likelihood + 1:
             at = evidence(settled, tangent, found.seen)
             found = dataclasses.replace(found, settled=settled, at=at)
@@ -117,9 +119,9 @@ def _anew(found: Found, read: Picture, begin: Callable[[Picture], list[np.ndarra
     return _settled(found, read, point.coordinates, seed)
 
 
-def _settled(found: Found, read: Picture, start: np.ndarray, seed: int) -> search.Settled:
+def _settled(found: Found, read: Picture, start: np.ndarray, seed: int) -> Settled:
     seen = read.observe(read.informative(search.PIXELS, seed))
-    return search.settle(start, found.model, seen, found.free, found.held)[0]
+    return settle(start, found.model, seen, found.free, found.held)[0]
 
 
 def edges_agree(target: np.ndarray, mask: np.ndarray) -> tuple[int, int]:

@@ -13,13 +13,14 @@ from collections.abc import Callable, Mapping
 import jax.numpy as jnp
 import numpy as np
 
-from godfit import banding, screen, search
+from godfit import banding, screen, search, settling
 from godfit.fitting import pixels_used
 from godfit.inference import misfit
 from godfit.models import AbstractModel, Mitchell
+from godfit.noise import EXPLAINED, WITHIN_ROUNDING
 from godfit.observation import Observation
 from godfit.result import FitResult
-from godfit.search import Settled, Tangent
+from godfit.settling import Settled, Tangent, settle
 from godfit.side_by_side import side_by_side
 from godfit.tinted import Tinted
 from godfit.valley import DOUBT
@@ -115,7 +116,7 @@ class Ladder:
         found: list[Rung] = []
         assert isinstance(full.model, Mitchell)
         top = full.model
-        if full.settled.sigma > search.EXPLAINED:
+        if full.settled.sigma > EXPLAINED:
             self.say("+ samples")
             other = banding.other_samples(top, self.picture, self.seed)
             if other is not None:
@@ -128,7 +129,7 @@ class Ladder:
                     found.append(rung)
                     assert isinstance(rung.model, Mitchell)
                     top = rung.model
-        if (found or [full])[-1].settled.sigma > search.EXPLAINED:
+        if (found or [full])[-1].settled.sigma > EXPLAINED:
             self.say("+ second light")
             rung = self._second((found or [full])[-1], held)
             found.append(rung)
@@ -142,7 +143,7 @@ class Ladder:
 
     def veil(self) -> Rung:
         """One value everywhere."""
-        settled = search.veil(self.seen)
+        settled = settling.veil(self.seen)
         (level,), count = settled.coordinates, len(self.seen.lo)
         prediction, ones = np.full(count, level), np.ones((1, count), np.float32)
         return Rung(
@@ -213,13 +214,13 @@ class Ladder:
         if len(points) > 1:
             # A few values tell which is the best; those that they cannot tell apart go on.
             ends = side_by_side(
-                lambda z: search.settle(z, model, self.few, free, held, rounds=4)[0], points
+                lambda z: settle(z, model, self.few, free, held, rounds=4)[0], points
             )
             most = max(end.log_likelihood for end in ends)
             points = [e.coordinates for e in ends if e.log_likelihood > most - DOUBT]
             points = self._apart(points, free)
         settled, tangent = max(
-            (search.settle(z, model, self.seen, free, held) for z in points),
+            (settle(z, model, self.seen, free, held) for z in points),
             key=lambda found: found[0].log_likelihood,
         )
         fitted = model.moved(jnp.asarray(settled.coordinates), jnp.asarray(held))
@@ -242,7 +243,7 @@ class Ladder:
 
 def like_noise(rung: Rung, seen: Observation) -> bool:
     """Whether what the rung leaves may be noise."""
-    return rung.settled.sigma < search.WITHIN_ROUNDING or (
+    return rung.settled.sigma < WITHIN_ROUNDING or (
         misfit(rung.tangent.prediction, seen).like_noise
     )
 

@@ -18,12 +18,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from godfit import inputs, search
+from godfit import inputs
 from godfit.errors import InputError
 from godfit.fitting import fit
 from godfit.inputs import Source
 from godfit.likelihood import log_likelihood
 from godfit.models import Mitchell
+from godfit.noise import EXPLAINED
 from godfit.observation import Observation
 from godfit.result import FitResult
 from godfit.rungs import VALUES, Ladder, Rung, like_noise
@@ -213,7 +214,7 @@ def _judged(rungs: list[Rung], seen: Observation, seed: int, share: float) -> tu
 
 def _as_good(row: Row, best: Row) -> bool:
     """Whether ``row`` is within the uncertainty of ``best``."""
-    if row.rung.settled.sigma <= search.EXPLAINED:
+    if row.rung.settled.sigma <= EXPLAINED:
         # Even the rounding of every pixel is explained: there is nothing for a larger model to do.
         return True
     # What gains nothing on pixels that were not fitted is not known to be there.

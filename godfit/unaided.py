@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
-from godfit import inputs, screenshot, search
+from godfit import inputs, screenshot
 from godfit.beside import NEAR, SOME, best_around, hardened, softened, solved
 from godfit.disc import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL, DiscLight
 from godfit.errors import InputError
@@ -23,6 +23,7 @@ from godfit.image import Image
 from godfit.inference import evidence
 from godfit.models import Mitchell
 from godfit.observation import Observation, Picture
+from godfit.settling import Settled, Tangent, settle
 from godfit.side_by_side import side_by_side
 from godfit.solver import Point, solve_tangent
 from godfit.turns import Read, Turns
@@ -113,12 +114,8 @@ def found_in(
         opened.append((0, [3]))
     turns = Turns(model, picture, reading.unknown, grain(picture), free, held, seed)
     seen = picture.observe(screenshot.blocks(picture, seed))
-    # Beside the picture a light may be one of which nothing but the veil is seen.
-    dark = bool(
-        np.abs(best.coordinates[LIGHT_X : LIGHT_Y + 1] - 0.5).max() < 0.5
-        and _out_of_sight(model, best.coordinates, held, picture)
-    )
-    rays = looked.explained > RAYS and not dark
+    objection = _objection(looked, held, picture)
+    rays = not objection
     first = screenshot.enlarged(best.mask, looked.copy.mask, picture.mask)
     rounds = ROUNDS if rays else 1
     if rays:
@@ -142,15 +139,12 @@ def found_in(
         read, doubts = turns.solved(begin, NEAR[-1]), []
     point, mask, seen, free, held = read.point, read.mask, read.seen, turns.free, turns.held
     picture = dataclasses.replace(picture, mask=mask)
-    settled, tangent = search.settle(point.coordinates, model, seen, free, held, rounds=rounds)
+    settled, tangent = settle(point.coordinates, model, seen, free, held, rounds=rounds)
     at = evidence(settled, tangent, seen).within(model.ranges(settled.coordinates))
     found = Found(model, picture, seen, settled, at, free, held, opened, False)
     found.starts_agreed = screenshot.agreed(
         looked.lights, settled.coordinates[LIGHT_X : LIGHT_Y + 1]
     )
-    objection = "" if rays else NO_RAYS.format(100 * max(looked.explained, 0))
-    if dark and looked.explained > RAYS:
-        objection = NO_LIGHT.format(*best.coordinates[LIGHT_X : LIGHT_Y + 1])
     remarks = []
     if free[GAIN] and free[VEIL] and _out_of_sight(model, settled.coordinates, held, picture):
         opened.append((GAIN, [VEIL]))
@@ -176,6 +170,18 @@ def found_in(
         found, remarks=tuple(remarks), objection=objection, shifts=tuple(shifts)
     )
     return found, notes
+
+
+def _objection(looked: screenshot.Look, held: np.ndarray, picture: Picture) -> str:
+    """Why what the search found is no rays; empty where it is."""
+    z = looked.ends[0].coordinates
+    light = z[LIGHT_X : LIGHT_Y + 1]
+    if not looked.explained > RAYS:
+        return NO_RAYS.format(100 * max(looked.explained, 0))
+    # Of a light beside the picture it may be that only the veil is seen.
+    if np.abs(light - 0.5).max() < 0.5 and _out_of_sight(looked.model, z, held, picture):
+        return NO_LIGHT.format(*light)
+    return ""
 
 
 def _searched(
@@ -254,7 +260,7 @@ def _rivals(mask: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, ...]:
     )
 
 
-def next_dip(settled: search.Settled, covariance: np.ndarray, samples: int) -> np.ndarray:
+def next_dip(settled: Settled, covariance: np.ndarray, samples: int) -> np.ndarray:
     """(p,) how far the next of the dips lies that the taps make in the cost by density, see
     ``dips.py``: with a mask of one's own making the deepest need not be the right one."""
     dip = float(settled.coordinates[DENSITY]) / samples
@@ -262,8 +268,8 @@ def next_dip(settled: search.Settled, covariance: np.ndarray, samples: int) -> n
 
 
 def _shift(
-    settled: search.Settled,
-    tangent: search.Tangent,
+    settled: Settled,
+    tangent: Tangent,
     model: DiscLight,
     seen: Observation,
     free: np.ndarray,

@@ -19,7 +19,8 @@ from godfit.likelihood import deviance_residuals
 from godfit.models import AbstractModel, Vector
 from godfit.observation import Observation, Picture
 from godfit.one_thread import one_thread
-from godfit.search import LADDER, PIXELS, Settled, settle
+from godfit.search import LADDER, PIXELS
+from godfit.settling import Settled, settle
 from godfit.side_by_side import side_by_side
 from godfit.solver import Point, solve
 

@@ -8,12 +8,14 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from godfit import correlated, diagnostics, search
+from godfit import correlated, diagnostics
 from godfit.estimates import estimates
 from godfit.inference import Evidence, Misfit, misfit
 from godfit.models import AbstractModel
+from godfit.noise import WITHIN_ROUNDING
 from godfit.observation import LEVELS, Observation, Picture
 from godfit.result import FitResult
+from godfit.settling import Settled, Tangent
 from godfit.solver import linearise
 
 STRUCTURED = (
@@ -30,7 +32,7 @@ class Found:
     model: AbstractModel
     picture: Picture
     seen: Observation
-    settled: search.Settled
+    settled: Settled
     at: Evidence
     free: np.ndarray
     held: np.ndarray
@@ -106,7 +108,7 @@ def verdict(
     error = np.clip(at.prediction, 0, LEVELS) - target
     rmse = float(np.sqrt(np.mean(error.astype(np.float64) ** 2)))
     # A pass that is upsampled was rounded once before.
-    allowed = search.WITHIN_ROUNDING * (2 if errs.upsampled > 1 else 1)
+    allowed = WITHIN_ROUNDING * (2 if errs.upsampled > 1 else 1)
     trusted = settled.sigma <= allowed or left.like_noise or found.scatter is not None
     remarks = found.remarks
     if picture.foreign and not found.objection:
@@ -160,7 +162,7 @@ def _correlated(
     """The covariance (p, p) with correlation allowed for, how many pixels each independent one
     stands for, and what may be wrong. Untouched where neighbours err independently."""
     settled, seen = found.settled, found.seen
-    if settled.sigma <= search.WITHIN_ROUNDING:
+    if settled.sigma <= WITHIN_ROUNDING:
         return covariance, 1.0, []
     block = diagnostics.jpeg(found.picture)
     suspects = [] if block is None else [block]
@@ -168,7 +170,7 @@ def _correlated(
         return covariance, 1.0, suspects
     scale = found.model.scales(settled.coordinates)
     prediction, jacobian = linearise(settled.coordinates, found.held, scale, found.model, seen)
-    tangent = search.Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
+    tangent = Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
     slope = correlated.slope_covariance(tangent, found.at.score, settled.sigma, seen)
     covariance, growth = correlated.widened(covariance, slope, found.free)
     model = found.model.moved(jnp.asarray(settled.coordinates), jnp.asarray(found.held))
@@ -181,7 +183,7 @@ def _correlated(
     return covariance, growth, suspects
 
 
-def _message(settled: search.Settled, trusted: bool, left: Misfit, a_line: bool) -> str:
+def _message(settled: Settled, trusted: bool, left: Misfit, a_line: bool) -> str:
     if not trusted:
         return (
             f"the residual is not noise (of {settled.sigma:.2f} levels, neighbours correlated by "

@@ -119,18 +119,23 @@ def test_the_disc_is_told_to_a_fraction_of_a_texel(cut):
     assert off[KAPPA] < 0.1 * true[KAPPA]
 
 
-def test_where_nothing_is_clear_nothing_is_told():
-    shut = np.zeros(SIZE, np.float32)
-    picture = Picture.make(image(np.zeros((*SIZE, 3), np.uint8), "none"), shut, None, None)
+def found_from_the_middle(target, open_, channels):
+    """What clear rays of a target (h, w, 3) of bytes show, with ``open_`` (h, w) the mask."""
+    picture = Picture.make(image(target, "none"), open_, None, None)
     with jax.enable_x64(False):
         shading = Mitchell(0.03, 0.985, 0.8, 0.7, [LIGHT], "dawntime", 20)
-        model = DiscLight(shading, [RADIUS_THERE, 1e-3, VEIL], np.zeros((1, 1)))
+        model = DiscLight(shading, [RADIUS_THERE, 1e-3, VEIL], np.zeros((1, channels)))
         free = np.ones(len(model.parameters), bool)
         held = np.full(len(free), np.nan, np.float32)
-        turns = Turns(model, picture, shut > 0, 0.0, free, held, 0)
+        turns = Turns(model, picture, open_ == 0, 0.0, free, held, 0)
         z = np.asarray(model.coordinates(), np.float32)
-        begin = Read.of(Point(z, np.inf, False, 0), shut, picture.observe(np.arange(200)))
-        assert seen_clearly(turns, begin, 1) is None
+        begin = Read.of(Point(z, np.inf, False, 0), open_, picture.observe(np.arange(200)))
+        return seen_clearly(turns, begin, 1)
+
+
+def test_where_nothing_is_clear_nothing_is_told():
+    shut = np.zeros(SIZE, np.float32)
+    assert found_from_the_middle(np.zeros((*SIZE, 3), np.uint8), shut, 1) is None
 
 
 @pytest.mark.parametrize("spread", [0.0, 6.0], ids=["even", "noise"])
@@ -139,14 +144,4 @@ def test_a_disc_that_does_not_stand_out_is_none(spread):
     rng = np.random.default_rng(4)
     target = np.array([90, 100, 110]) + spread * rng.normal(size=(*SIZE, 3))
     target = np.round(target).astype(np.uint8)
-    open_ = np.ones(SIZE, np.float32)
-    picture = Picture.make(image(target, "none"), open_, None, None)
-    with jax.enable_x64(False):
-        shading = Mitchell(0.03, 0.985, 0.8, 0.7, [LIGHT], "dawntime", 20)
-        model = DiscLight(shading, [RADIUS_THERE, 1e-3, VEIL], np.zeros((1, 3)))
-        free = np.ones(len(model.parameters), bool)
-        held = np.full(len(free), np.nan, np.float32)
-        turns = Turns(model, picture, open_ == 0, 0.0, free, held, 0)
-        z = np.asarray(model.coordinates(), np.float32)
-        begin = Read.of(Point(z, np.inf, False, 0), open_, picture.observe(np.arange(200)))
-        assert seen_clearly(turns, begin, 1) is None
+    assert found_from_the_middle(target, np.ones(SIZE, np.float32), 3) is None

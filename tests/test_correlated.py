@@ -7,7 +7,7 @@ from scipy import ndimage
 
 from godfit.correlated import neighbours, slope_covariance, white, widened
 from godfit.observation import Observation, Picture
-from godfit.search import Tangent
+from godfit.settling import Tangent
 
 SIZE = 96
 
