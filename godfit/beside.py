@@ -17,7 +17,7 @@ import numpy as np
 
 from godfit import glare
 from godfit.clear_rays import looks_alike, seen_clearly
-from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, SOFT
+from godfit.disc import DENSITY, EDGE, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, SOFT
 from godfit.observation import shrink
 from godfit.side_by_side import side_by_side
 from godfit.turns import Read, Turns
@@ -28,15 +28,19 @@ NEAR = (4.0, 2.0, 1.0)
 # Turns of shadows and light before what they make is judged.
 SOME = 2
 # How far beside an answer it is looked for at first: shares of the radius, periods of the light,
-# dips of density and powers of two of what the disc adds; half as far where that finds nothing, but
-# no nearer than the next dip. Those of the light lie where the last tap comes to the next texel.
-BESIDE = {RADIUS: 0.2, LIGHT_X: 1.0, LIGHT_Y: 1.0, DENSITY: 8.0, GAIN: 1.0}
+# dips of density and powers of two of what the disc adds and of the attenuation; half as far where
+# that finds nothing, but no nearer than the next dip, and from there so many dips ``FARTHER``.
+# Those of the light lie where the last tap comes to the next texel.
+BESIDE = {RADIUS: 0.2, LIGHT_X: 1.0, LIGHT_Y: 1.0, DENSITY: 8.0, GAIN: 1.0, KAPPA: 1.0}
+FARTHER = 4
 # Share of that, of all of it where clear rays have shown the disc, of the light where glare has.
 CLOSE, NEARBY = 0.25, 0.5
 # Share of a radius that one step leaves of it, least.
 LEAST = 0.3
 # Answers that are looked around, most, each time, and steps on along one way.
 LEFT, ON = (3, 2, 1, 1), 4
+# Times that is done, most, and the share of what was left that is worth another after these.
+TIMES, HEADWAY = 9, 0.03
 # What leaves less than so many times what rounding leaves is right.
 ROUNDING = 1.1
 # What leaves so much more before the rest has moved is given up, and how much more may be left by
@@ -44,6 +48,8 @@ ROUNDING = 1.1
 WORSE, ALIKE = 1.25, 1.05
 # What leaves so many times the least is not looked around.
 FAR_WORSE = 2.0
+# What a disc is found by.
+DISC = (DENSITY, LIGHT_X, LIGHT_Y, RADIUS)
 # Widths of the disc's edge in texels: of one that is drawn without anti-aliasing, whose rim is left
 # to the shadows, and from where a soft one's is looked for.
 HARD, WIDE = 0.1, 1.0
@@ -51,14 +57,14 @@ HARD, WIDE = 0.1, 1.0
 
 class Place(NamedTuple):
     """The best answer ``read`` of all that was ``found`` by ``turns`` around a beginning, how far
-    beside it, by coordinate, is looked next, and the answers whose next dips of density are known,
-    by the coordinate that leads there."""
+    beside it, by coordinate, is looked next, and answers with how many dips of density from them
+    nothing was found, by the coordinate that leads there."""
 
     turns: Turns
     read: Read
     found: tuple[Read, ...]
     steps: dict[int, float]
-    dips_of: dict[int, Read]
+    dips_of: dict[int, tuple[Read, tuple[int, ...]]]
 
     @property
     def left(self) -> float:
@@ -79,10 +85,22 @@ class Place(NamedTuple):
         return self.explained or all(map(self._exhausted, self.steps))
 
     def _exhausted(self, index: int) -> bool:
-        by = self.steps[index]
-        if _dips(self.turns, self.read, index, by):
-            return self.dips_of.get(index) is self.read
-        return by < BESIDE[index] / 4
+        dips = self.dips(index)
+        return dips is None or (dips == 0 and self.steps[index] < BESIDE[index] / 4)
+
+    def dips(self, index: int) -> int | None:
+        """How many dips of density the next step along a coordinate leads across, at least one; 0
+        if density does not go along with it, None if all there are to look at are known."""
+        dips = _dips(self.turns, self.read, index, self.steps[index])
+        known = self.known(index)
+        if dips != 1 or 1 not in known:
+            return dips
+        return None if FARTHER in known else FARTHER
+
+    def known(self, index: int) -> tuple[int, ...]:
+        """So many dips away nothing was found from this answer."""
+        read, known = self.dips_of.get(index, (self.read, ()))
+        return known if read is self.read else ()
 
 
 def best_around(
@@ -107,23 +125,43 @@ def best_around(
     places += _cleared(turns, list(apart.values()), whole)
     if not min(places, key=_left).explained:
         places += _glared(sizes)
-    for left in LEFT:
-        places.sort(key=_left)
-        if places[0].explained:
-            break
-        places = [place for place in places if place.left < FAR_WORSE * places[0].left][:left]
-        places = [_looked_around(place) for place in places]
-        if all(place.finished for place in places):
-            break
+        places += _crossed(places)
+    places = _climbed(places)
     best = min(places, key=_left)
-    # What is nearly right knows better what is clear.
-    places = [best] if best.explained else [best, *_cleared(turns, [best.read], whole)]
+    if not best.explained:
+        # What is nearly right knows better what is clear.
+        clear = _cleared(turns, [best.read], whole)
+        places = [best, *_climbed([each for each in clear if each.left < FAR_WORSE * best.left])]
     found = itertools.chain.from_iterable(place.found for place in places)
     turns, read, *_ = min(places, key=_left)
     limit, z = ALIKE * turns.total(read), read.point.coordinates
     alike = [r.point.coordinates - z for r in found if turns.total(r) < limit]
     doubts = _spread(np.array(alike) * turns.free, turns.model.scales(z))
     return turns, read, doubts if read.before is None else [z - read.before, *doubts]
+
+
+def _climbed(places: list[Place]) -> list[Place]:
+    """The likeliest of these, looked around again and again, fewer each time."""
+    before = np.inf
+    for time, most in enumerate((*LEFT, *[LEFT[-1]] * (TIMES - len(LEFT)))):
+        places = _apart(places)
+        if not places or places[0].explained or all(place.finished for place in places[:most]):
+            break
+        if time >= len(LEFT) and not places[0].left < (1 - HEADWAY) * before:
+            break
+        before = places[0].left
+        places = [place for place in places if place.left < FAR_WORSE * before][:most]
+        places = [_looked_around(place) for place in places]
+    return places
+
+
+def _apart(places: list[Place]) -> list[Place]:
+    """The likeliest first, without those that look like a likelier one."""
+    kept: list[Place] = []
+    for place in sorted(places, key=_left):
+        if not any(looks_alike(place.read, other.read) for other in kept):
+            kept.append(place)
+    return kept
 
 
 def _spread(changes: np.ndarray, scale: np.ndarray) -> list[np.ndarray]:
@@ -167,8 +205,8 @@ def _cleared(turns: Turns, reads: list[Read], whole: bool) -> list[Place]:
 
 
 def _suited(turns: Turns, read: Read, coordinates: np.ndarray) -> Place:
-    """What clear rays show (p,), held until the rest suits it."""
-    held = _holding(turns, DENSITY, LIGHT_X, LIGHT_Y, RADIUS)
+    """A disc found elsewise (p,), held until the rest suits it."""
+    held = _holding(turns, *DISC)
     found = held.solved(_first_sight(turns, read).unshadowed().at(coordinates), NEAR[0])
     found = turns.turned(_nearer(held, found), SOME)
     return _place(turns, found, dict.fromkeys(BESIDE, CLOSE))
@@ -196,10 +234,27 @@ def _glared(places: list[Place]) -> list[Place]:
         return _place(place.turns, found, dict.fromkeys((LIGHT_X, LIGHT_Y), NEARBY))
 
     found = side_by_side(begun, itertools.product(places, circles))
+    return side_by_side(suited, _of_each_size(found))
+
+
+def _crossed(places: list[Place]) -> list[Place]:
+    """The likeliest of each size of light pass with the disc of the likeliest of another: dips of
+    one are not those of the other."""
+
+    def begun(pair: tuple[Place, Place]) -> Place:
+        own, other = (place.read.point.coordinates for place in pair)
+        z = own.copy()
+        z[list(DISC)] = other[list(DISC)]
+        return _suited(pair[0].turns, pair[0].read, z)
+
+    return side_by_side(begun, itertools.permutations(_of_each_size(places), 2))
+
+
+def _of_each_size(places: list[Place]) -> list[Place]:
     best: dict[tuple[int, ...], Place] = {}
-    for place in sorted(found, key=_left):
+    for place in sorted(places, key=_left):
         best.setdefault(place.read.mask.shape, place)
-    return side_by_side(suited, best.values())
+    return list(best.values())
 
 
 def _nearer(turns: Turns, read: Read) -> Read:
@@ -223,31 +278,32 @@ def _left(place: Place) -> float:
 def _looked_around(place: Place) -> Place:
     """Once to either side along every coordinate, from the best so far, and on that way while it
     helps."""
-    turns, best, found, steps, dips_of = place
-    steps, dips_of = steps.copy(), dips_of.copy()
-    for index, by in steps.items():
-        next_dips = _dips(turns, best, index, by) == 1
-        if next_dips and dips_of.get(index) is best:
+    turns = place.turns
+    for index, by in place.steps.items():
+        dips = place.dips(index)
+        if dips is None:
             continue
-        sides = (-by, by)
-        there = side_by_side(functools.partial(_beside, turns, best, index), sides)
-        found += tuple(there)
+        best, sides = place.read, (-by, by)
+        there = side_by_side(functools.partial(_beside, turns, best, index, dips), sides)
         totals = [turns.total(read) for read in there]
         if not min(totals) < turns.total(best):
-            if next_dips:
-                dips_of[index] = best
-            else:
-                steps[index] = by / 2
+            near = by if _dips(turns, best, index, by) == 1 else by / 2
+            place = place._replace(
+                found=(*place.found, *there),
+                steps=place.steps | {index: near},
+                dips_of=place.dips_of | {index: (best, (*place.known(index), dips))},
+            )
             continue
         side = int(np.argmin(totals))
-        best = there[side]
+        found, best = [*place.found, *there], there[side]
         for _ in range(ON):
-            further = _beside(turns, best, index, sides[side])
-            found += (further,)
+            further = _beside(turns, best, index, dips, sides[side])
+            found.append(further)
             if not turns.total(further) < turns.total(best):
                 break
             best = further
-    return Place(turns, best, found, steps, dips_of)
+        place = place._replace(read=best, found=tuple(found))
+    return place
 
 
 def _dips(turns: Turns, read: Read, index: int, by: float) -> int:
@@ -281,11 +337,12 @@ def _near(turns: Turns, read: Read) -> Read:
     return read._replace(before=read.point.coordinates)
 
 
-def _beside(turns: Turns, read: Read, index: int, by: float) -> Read:
-    """What is found where one coordinate is moved, its shadows and the rest first, and then itself:
-    single taps and texels make the way there too rough to be gone down."""
+def _beside(turns: Turns, read: Read, index: int, dips: int, by: float) -> Read:
+    """What is found where one coordinate is moved, across so many ``dips`` of density if that goes
+    along, its shadows and the rest first, and then itself: single taps and texels make the way
+    there too rough to be gone down."""
     z, held = read.point.coordinates.copy(), [index]
-    dips, density = _dips(turns, read, index, by), float(z[DENSITY])
+    density = float(z[DENSITY])
     if index == DENSITY:
         z[DENSITY] *= 1 + np.sign(by) * dips / turns.model.samples
     elif index == RADIUS:
@@ -299,8 +356,8 @@ def _beside(turns: Turns, read: Read, index: int, by: float) -> Read:
             z[GAIN] /= 1 + by
         elif turns.free[0]:
             z[0] *= z[DENSITY] / density / (1 + by)
-    elif index == GAIN:
-        z[GAIN] *= 2**by
+    elif index in (GAIN, KAPPA):
+        z[index] *= 2**by
     else:
         z[index] += by / (density * read.mask.shape[1 if index == LIGHT_X else 0])
     there = _holding(turns, *held).turn(read.at(turns.inside(z)), turns.noise)

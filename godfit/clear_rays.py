@@ -96,10 +96,23 @@ class Rays(NamedTuple):
 def seen_clearly(turns: Turns, read: Read, cut: int) -> np.ndarray | None:
     """Coordinates (p,) of the disc about that of ``read`` that stands out most along clear rays;
     None where too few are clear, or none stands out. A texel at its rim is in or out, or a mean of
-    ``cut`` by ``cut`` parts that are."""
+    ``cut`` by ``cut`` parts that are.
+
+    Where glare leaves nothing else of the disc, also rays that are clipped in some channels start:
+    there it is so bright that among discs as far apart as these the right one may be missed.
+    """
+    picture = turns.picture
+    found = _seen(turns, read, cut, picture.valid & ~picture.clipped)
+    if found is None and (picture.readable & picture.clipped).any():
+        found = _seen(turns, read, cut, picture.readable)
+    return found
+
+
+def _seen(turns: Turns, read: Read, cut: int, usable: np.ndarray) -> np.ndarray | None:
+    """The same by rays from pixels that are ``usable`` (h, w)."""
     z, free = read.point.coordinates, turns.free
     h, w = read.mask.shape[:2]
-    starts = _starts(turns, (h, w))
+    starts = _starts(turns, (h, w), usable)
     at = turns.model.moved(z, turns.held)
     column, row = np.asarray(at.light[0], np.float64) * (w, -h) + (-0.5, h - 0.5)
     dense = DENSE / h
@@ -218,11 +231,11 @@ def _sizes(density: float, radius: float, dense: float, free: np.ndarray) -> lis
     return [(d, r) for d, r in pairs if 0 < d <= 1 and r > 0]
 
 
-def _starts(turns: Turns, size: tuple[int, int]) -> Starts:
-    """Where rays may start, in no order."""
+def _starts(turns: Turns, size: tuple[int, int], usable: np.ndarray) -> Starts:
+    """Where rays may start, of pixels that are ``usable`` (h, w), in no order."""
     picture = turns.picture
     rng = np.random.default_rng(turns.seed)
-    pixels = rng.permutation(np.flatnonzero(picture.valid & ~picture.clipped))
+    pixels = rng.permutation(np.flatnonzero(usable))
     # As first seen: of objects that glare hides there are few.
     blocked = ndimage.binary_dilation(shrink(np.asarray(picture.mask), size) < 0.5, iterations=2)
     return Starts(pixels, *texels_of(pixels, picture.size, size), blocked)

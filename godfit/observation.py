@@ -132,9 +132,10 @@ class Picture:
             h, w = (max(1, n // factor) for n in image.shape[:2])
             return shrink(image, (h, w))
 
-        # A cell that is clipped in part has a mean that says nothing.
-        clipped = smaller(self.clipped.astype(np.float32))
-        valid = (smaller(self.valid.astype(np.float32)) == 1) & ((clipped == 0) | (clipped == 1))
+        # A cell a channel of which is clipped in part has a mean that says nothing.
+        clipped = smaller(self.above.astype(np.float32))
+        whole = ((clipped == 0) | (clipped == 1)).all(-1)
+        valid = (smaller(self.valid.astype(np.float32)) == 1) & whole
         return dataclasses.replace(
             self,
             levels=smaller(self.levels),
@@ -161,9 +162,19 @@ class Picture:
         return lo.astype(np.float32), hi.astype(np.float32)
 
     @functools.cached_property
+    def above(self) -> np.ndarray:
+        """(h, w, c): values at the top of the scale."""
+        return (self.levels >= LEVELS - self.half) & np.bool_(self.half > 0)
+
+    @functools.cached_property
     def clipped(self) -> np.ndarray:
         """(h, w): pixels at the top of the scale in some channel."""
-        return np.any(self.levels >= LEVELS - self.half, -1) & np.bool_(self.half > 0)
+        return np.any(self.above, -1)
+
+    @functools.cached_property
+    def readable(self) -> np.ndarray:
+        """(h, w): valid pixels that are not at the top of the scale in every channel."""
+        return self.valid & ~np.all(self.above, -1)
 
     @functools.cached_property
     def repeats(self) -> float:
@@ -269,14 +280,15 @@ class Picture:
 
     @functools.cached_property
     def _slopes(self) -> np.ndarray:
-        """How much the target varies, 0 where it is clipped, on a copy of SLOPES_SIZE at most."""
+        """How much the target varies, 0 where all of it is clipped, on a copy of SLOPES_SIZE at
+        most."""
         # Differences over a few pixels see slopes that single levels hide.
         small = self.shrunk(-(-max(self.size) // SLOPES_SIZE))
         if min(small.size) < 2:
             return np.zeros(small.size, np.float32)
         bright = np.minimum(small.levels.mean(-1), LEVELS - 1)
         down, along = np.gradient(ndimage.gaussian_filter(bright, 1.0))
-        return np.where(small.clipped, 0, np.hypot(down, along))
+        return np.where(np.all(small.above, -1), 0, np.hypot(down, along))
 
 
 def _texels(pixels: np.ndarray, size: tuple[int, int], mask: np.ndarray) -> Texels | None:

@@ -124,12 +124,13 @@ def light_read(
     model: DiscLight, picture: Picture, pixels: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """What the light pass is, in levels (n,), at row-major ``pixels`` (n,) of ``picture`` over the
-    model's background: the sum of ``weights`` (n, c), returned as well, times what is over it."""
+    model's background: the sum of ``weights`` (n, c), returned as well, times what is over it, in
+    the channels that are not clipped."""
     k, c = model.background.shape
     back = terms(pixels, picture.size, k) @ np.asarray(model.background)
     back = back * model.convention.background_gain
-    colour = np.asarray(model.colour, np.float64)
-    colour = colour / (colour @ colour)
+    colour = np.asarray(model.colour, np.float64) * ~picture.above.reshape(-1, c)[pixels]
+    colour /= np.maximum((colour**2).sum(1, keepdims=True), 1e-6)
     over = np.maximum(1 - back, 0.05) if model.convention.blend == "screen" else np.ones_like(back)
     weights = colour / over
     light = (picture.levels.reshape(-1, c)[pixels] - LEVELS * back) * weights

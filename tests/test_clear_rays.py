@@ -83,21 +83,23 @@ def test_rays_that_meet_something_are_not_clear():
     assert is_clear(x, y, np.array([10.0, 10.0]), 0.5, 40, blocked).all()
 
 
-@pytest.mark.parametrize("cut", [1, 2])
-def test_the_disc_is_told_to_a_fraction_of_a_texel(cut):
-    """From one that is seen from as far, a third larger, its light half a texel off."""
+@pytest.mark.parametrize(("cut", "blue"), [(1, 0.3), (2, 0.3), (1, 0.95)])
+def test_the_disc_is_told_to_a_fraction_of_a_texel(cut, blue):
+    """From one that is seen from as far, a third larger, its light half a texel off; also where
+    whatever the disc lights is clipped in some channel."""
+    colour = np.array([*COLOUR[:2], blue])
     open_ = np.ones(SIZE)
     open_[40:60, 96:120] = 0
     mask = open_ * np.maximum(drawn(SIZE, cut), VEIL)
     shading = Mitchell(0.03, 0.985, 0.8, 0.7, [LIGHT], "dawntime", 60)
-    levels = 255 * (np.array(COLOUR) + np.asarray(shading(jnp.asarray(mask)))[..., None])
+    levels = 255 * (colour + np.asarray(shading(jnp.asarray(mask)))[..., None])
     target = np.round(levels).clip(0, 255).astype(np.uint8)
     picture = Picture.make(image(target, "none"), open_.astype(np.float32), None, None)
     silent = ndimage.binary_dilation(open_ == 0, iterations=2)
     picture = dataclasses.replace(picture, valid=picture.valid & ~silent)
     with jax.enable_x64(False):
         shading = Mitchell(0.03, 0.985, 0.8, 0.7, [LIGHT], "dawntime", 60)
-        model = DiscLight(shading, [RADIUS_THERE, 1e-3, VEIL], [COLOUR])
+        model = DiscLight(shading, [RADIUS_THERE, 1e-3, VEIL], [colour])
         free = np.ones(len(model.parameters), bool)
         held = np.full(len(free), np.nan, np.float32)
         turns = Turns(model, picture, open_ == 0, 0.0, free, held, 0)
@@ -111,10 +113,15 @@ def test_the_disc_is_told_to_a_fraction_of_a_texel(cut):
         seen = picture.observe(picture.informative(1000, 0))
         begin = Read.of(Point(z, np.inf, False, 0), open_.astype(np.float32), seen)
         found = seen_clearly(turns, begin, cut)
+        if blue > 0.5:
+            alone = dataclasses.replace(picture, valid=picture.valid & ~picture.clipped)
+            assert seen_clearly(dataclasses.replace(turns, picture=alone), begin, cut) is None
+    assert found is not None
     off = np.abs(found - true)
     assert off[LIGHT_X] * SIZE[1] < 0.1
     assert off[LIGHT_Y] * SIZE[0] < 0.1
-    assert off[RADIUS] < 0.01 * true[RADIUS]
+    # Of what is clipped in one channel there are fewer rays.
+    assert off[RADIUS] < (0.01 if blue < 0.5 else 0.02) * true[RADIUS]
     assert off[DENSITY] < 0.005
     assert off[KAPPA] < 0.1 * true[KAPPA]
 

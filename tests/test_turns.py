@@ -14,7 +14,7 @@ from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
 from godfit.lasso import Along, lasso
 from godfit.models import Mitchell
 from godfit.observation import Picture
-from godfit.occluders import FLIP, PULL, _sums, asked, price
+from godfit.occluders import FLIP, PULL, _sums, asked, light_read, price
 from godfit.solver import Point
 from godfit.turns import Read, Turns
 
@@ -301,12 +301,95 @@ def test_radius_and_density_go_from_dip_to_dip(monkeypatch):
     # .2 of what is left of the ray, .2, are 2 of 40 taps over a density of .8.
     for by, taps in ((0.2, -2), (-0.2, 2), (0.02, -1)):
         tried.clear()
-        beside._beside(turns, read, RADIUS, by)
+        assert beside._dips(turns, read, RADIUS, by) == abs(taps)
+        beside._beside(turns, read, RADIUS, abs(taps), by)
         free, z = tried[0]
         assert not free[[RADIUS, DENSITY]].any()
         assert z[DENSITY] == pytest.approx(0.8 * (1 + taps / 40))
         assert z[RADIUS] / (1 - z[DENSITY]) == pytest.approx(0.15 / 0.2)
         assert z[GAIN] * z[RADIUS] == pytest.approx(truth[GAIN] * 0.15)
+
+
+def test_nearer_and_then_far_dips_are_looked_at_and_then_no_more(monkeypatch):
+    """Along the density, from an answer beside which nothing is better, and again from another."""
+    picture, truth, turns = lit(1e-5, bar=False)
+    seen = picture.observe(np.arange(100))
+    tried = []
+
+    def beside_it(turns, read, index, dips, by):
+        tried.append((dips, by))
+        return worse
+
+    best, worse, other = (
+        Read.of(Point(truth, cost, True, 0), picture.mask, seen) for cost in (1.0, 2.0, 1.0)
+    )
+    monkeypatch.setattr(beside, "BESIDE", {DENSITY: 2.0})
+    monkeypatch.setattr(beside, "_beside", beside_it)
+    monkeypatch.setattr(Turns, "total", lambda self, read: read.point.cost)
+    monkeypatch.setattr(beside, "ROUNDING", 0.0)
+    place = beside._place(turns, best)
+    for expected in (2, 1, beside.FARTHER):
+        assert not place.finished
+        tried.clear()
+        place = beside._looked_around(place)
+        assert place.read is best
+        assert [dips for dips, _ in tried] == [expected] * 2
+        assert [np.sign(by) for _, by in tried] == [-1, 1]
+    assert place.finished
+    place = place._replace(read=other)
+    assert place.dips(DENSITY) == 1
+
+
+@pytest.mark.usefixtures("single_precision")
+def test_each_size_of_pass_begins_from_the_disc_of_the_other(monkeypatch):
+    picture, truth, turns = lit(1e-5, bar=False)
+    moved = truth.copy()
+    moved[[DENSITY, LIGHT_X, RADIUS, GAIN]] += 0.01
+    seen = picture.observe(np.arange(100))
+    whole = Read.of(Point(truth, 1.0, True, 0), picture.mask, seen)
+    half = Read.of(Point(moved, 1.0, True, 0), picture.mask[::2, ::2], seen)
+    places = [beside._place(turns, read) for read in (whole, half)]
+    monkeypatch.setattr(beside, "_suited", lambda turns, read, z: beside._place(turns, read.at(z)))
+    first, second = (place.read for place in beside._crossed(places))
+    assert (first.mask.shape, second.mask.shape) == (whole.mask.shape, half.mask.shape)
+    by_half, by_whole = first.point.coordinates, second.point.coordinates
+    discs = [DENSITY, LIGHT_X, LIGHT_Y, RADIUS]
+    np.testing.assert_array_equal(by_half[discs], moved[discs])
+    np.testing.assert_array_equal(by_whole[discs], truth[discs])
+    assert by_half[GAIN] == truth[GAIN]
+    assert beside._crossed(places[:1]) == []
+
+
+def test_a_pixel_is_read_from_what_is_not_clipped_of_it():
+    """On a background that clips in one channel, then in two, under "screen" too."""
+    for shader in ("dawntime", "pmndrs"):
+        shading = Mitchell(0.06, 0.98, 0.8, 0.7, [0.45, 0.6], shader, 40)
+        model = DiscLight(shading, [0.15, 0.01, 0.06], [[0.1, 0.6, 0.9]])
+        light = np.asarray(model.light_pass(jnp.ones(SIZE)))
+        levels = 255 * np.asarray(model.composite(jnp.asarray(light), SIZE)).clip(0, 1)
+        whole = np.ones(SIZE, bool)
+        picture = Picture(levels.astype(np.float32), 1e-3, whole, whole, None, "none")
+        pixels = np.flatnonzero(picture.readable)
+        above = picture.above.reshape(-1, 3)[pixels].sum(1)
+        read, weights = light_read(model, picture, pixels)
+        np.testing.assert_allclose(read, 255 * light.reshape(-1)[pixels], atol=0.01)
+        assert (weights[picture.above.reshape(-1, 3)[pixels]] == 0).all()
+        if shader == "dawntime":
+            assert set(above) == {0, 1, 2}
+            assert not picture.readable.all()
+
+
+def test_a_cell_that_is_clipped_in_part_in_any_channel_is_left_out():
+    levels = np.full((2, 8, 2), 100, np.float32)
+    # All of a cell in one channel, and of the other nothing, half and all of it.
+    levels[:, 2:, 0] = 255
+    levels[:, 4, 1] = levels[:, 6:, 1] = 255
+    small = Picture(
+        levels, 0.5, np.ones((2, 8), bool), np.ones((2, 8), np.float32), None, "none"
+    ).shrunk(2)
+    assert small.valid.tolist() == [[True, True, False, True]]
+    assert small.clipped.tolist() == [[False, True, True, True]]
+    assert small.readable.tolist() == [[True, True, False, False]]
 
 
 def test_shares_are_solved_for_in_double_precision_where_single_will_not_do():
