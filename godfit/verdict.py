@@ -18,6 +18,8 @@ from godfit.result import FitResult
 from godfit.settling import Settled, Tangent
 from godfit.solver import linearise
 
+# Times over that a picture says the same, least, that is a line of pixels, repeated.
+A_LINE = 16
 STRUCTURED = (
     "what is left is not noise ({:.2f} levels, neighbours correlated by {:.2f}): background or "
     "occluders are more than the model has"
@@ -117,7 +119,7 @@ def verdict(
         trusted = True
     trusted = trusted and not found.objection
     # One line of pixels, repeated, has so many explanations that its errors say nothing.
-    a_line = picture.repeats > 1 and int(found.free.sum()) > 2
+    a_line = is_a_line(picture) and int(found.free.sum()) > 2
     converged = trusted and settled.quiet and not a_line
     return FitResult(
         converged=converged,
@@ -181,6 +183,12 @@ def _correlated(
         likely = diagnostics.diagnose(found.picture, model, pixels, tangent)
         suspects += diagnostics.named(likely)
     return covariance, growth, suspects
+
+
+def is_a_line(picture: Picture) -> bool:
+    """Whether the picture is one line of pixels, or a few, repeated; one that is empty but for a
+    part of it is not."""
+    return bool(picture.repeats >= A_LINE)
 
 
 def _message(settled: Settled, trusted: bool, left: Misfit, a_line: bool) -> str:

@@ -8,6 +8,7 @@ from scipy import ndimage
 from godfit.correlated import neighbours, slope_covariance, white, widened
 from godfit.observation import Observation, Picture
 from godfit.settling import Tangent
+from godfit.verdict import is_a_line
 
 SIZE = 96
 
@@ -78,5 +79,11 @@ def test_repeated_lines_are_counted_once():
     grey = column[..., None]
     line = Picture(grey, 0.5, np.ones((16, 16), bool), column / 16, None, "none")
     assert line.repeats == 16
+    assert is_a_line(line)
+    empty = np.zeros((16, 16, 1), np.float32)
+    empty[13:] = 255 * np.random.default_rng(1).random((3, 16, 1))
+    partly = Picture(empty, 0.5, np.ones((16, 16), bool), np.zeros((16, 16)), None, "none")
+    assert partly.repeats > 1
+    assert not is_a_line(partly)
     other = np.random.default_rng(0).random((16, 16)).astype(np.float32)
     assert Picture(grey, 0.5, np.ones((16, 16), bool), other, None, "none").repeats == 1

@@ -34,6 +34,19 @@ def test_informative_pixels_are_valid_and_lie_where_the_target_varies():
     assert np.array_equal(picture.informative(10_000, 3), np.flatnonzero(valid))
 
 
+@pytest.mark.parametrize("other", [0, 255], ids=["one", "both"])
+def test_informative_pixels_lie_where_any_channel_is_not_clipped(other):
+    """Beside a channel that is clipped, one that varies, or is clipped too."""
+    levels = np.full((100, 200, 2), 255, np.float32)
+    levels[..., 1] = other
+    if other == 0:
+        levels[:, 100:120, 1] = 10 * np.arange(20)
+    valid = np.ones((100, 200), bool)
+    chosen = Picture(levels, 0.5, valid, valid * 1.0, None, "none").informative(400, 3) % 200
+    among = np.count_nonzero((chosen >= 98) & (chosen < 122))
+    assert among > 200 if other == 0 else among < 80
+
+
 def test_starts_are_the_cheapest_that_are_apart():
     """Against one after the other, cheapest first."""
     rng = np.random.default_rng(2)
