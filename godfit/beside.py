@@ -57,14 +57,14 @@ HARD, WIDE = 0.1, 1.0
 
 class Place(NamedTuple):
     """The best answer ``read`` of all that was ``found`` by ``turns`` around a beginning, how far
-    beside it, by coordinate, is looked next, and answers with how many dips of density from them
-    nothing was found, by the coordinate that leads there."""
+    beside it, by coordinate, is looked next, and how many dips of density from it nothing was
+    found, by the coordinate that leads there."""
 
     turns: Turns
     read: Read
     found: tuple[Read, ...]
     steps: dict[int, float]
-    dips_of: dict[int, tuple[Read, tuple[int, ...]]]
+    known: dict[int, tuple[int, ...]]
 
     @property
     def left(self) -> float:
@@ -92,15 +92,10 @@ class Place(NamedTuple):
         """How many dips of density the next step along a coordinate leads across, at least one; 0
         if density does not go along with it, None if all there are to look at are known."""
         dips = _dips(self.turns, self.read, index, self.steps[index])
-        known = self.known(index)
+        known = self.known.get(index, ())
         if dips != 1 or 1 not in known:
             return dips
         return None if FARTHER in known else FARTHER
-
-    def known(self, index: int) -> tuple[int, ...]:
-        """So many dips away nothing was found from this answer."""
-        read, known = self.dips_of.get(index, (self.read, ()))
-        return known if read is self.read else ()
 
 
 def best_around(
@@ -143,8 +138,8 @@ def best_around(
 def _climbed(places: list[Place]) -> list[Place]:
     """The likeliest of these, looked around again and again, fewer each time."""
     before = np.inf
-    for time, most in enumerate((*LEFT, *[LEFT[-1]] * (TIMES - len(LEFT)))):
-        places = _apart(places)
+    for time in range(TIMES):
+        places, most = _apart(places), LEFT[min(time, len(LEFT) - 1)]
         if not places or places[0].explained or all(place.finished for place in places[:most]):
             break
         if time >= len(LEFT) and not places[0].left < (1 - HEADWAY) * before:
@@ -251,6 +246,7 @@ def _crossed(places: list[Place]) -> list[Place]:
 
 
 def _of_each_size(places: list[Place]) -> list[Place]:
+    """The likeliest of each size of light pass."""
     best: dict[tuple[int, ...], Place] = {}
     for place in sorted(places, key=_left):
         best.setdefault(place.read.mask.shape, place)
@@ -288,10 +284,11 @@ def _looked_around(place: Place) -> Place:
         totals = [turns.total(read) for read in there]
         if not min(totals) < turns.total(best):
             near = by if _dips(turns, best, index, by) == 1 else by / 2
+            known = (*place.known.get(index, ()), dips)
             place = place._replace(
                 found=(*place.found, *there),
                 steps=place.steps | {index: near},
-                dips_of=place.dips_of | {index: (best, (*place.known(index), dips))},
+                known=place.known | {index: known},
             )
             continue
         side = int(np.argmin(totals))
@@ -302,7 +299,7 @@ def _looked_around(place: Place) -> Place:
             if not turns.total(further) < turns.total(best):
                 break
             best = further
-        place = place._replace(read=best, found=tuple(found))
+        place = place._replace(read=best, found=tuple(found), known={})
     return place
 
 

@@ -313,7 +313,7 @@ def test_radius_and_density_go_from_dip_to_dip(monkeypatch):
 
 
 def test_nearer_and_then_far_dips_are_looked_at_and_then_no_more(monkeypatch):
-    """Along the density, from an answer beside which nothing is better, and again from another."""
+    """Along the density, from one beside which nothing is better, and again from one that is."""
     picture, truth, turns = lit(1e-5, bar=False)
     seen = picture.observe(np.arange(100))
     tried = []
@@ -323,7 +323,7 @@ def test_nearer_and_then_far_dips_are_looked_at_and_then_no_more(monkeypatch):
         return worse
 
     best, worse, other = (
-        Read.of(Point(truth, cost, True, 0), picture.mask, seen) for cost in (1.0, 2.0, 1.0)
+        Read.of(Point(truth, cost, True, 0), picture.mask, seen) for cost in (1.0, 2.0, 0.5)
     )
     monkeypatch.setattr(beside, "BESIDE", {DENSITY: 2.0})
     monkeypatch.setattr(beside, "_beside", beside_it)
@@ -338,8 +338,11 @@ def test_nearer_and_then_far_dips_are_looked_at_and_then_no_more(monkeypatch):
         assert [dips for dips, _ in tried] == [expected] * 2
         assert [np.sign(by) for _, by in tried] == [-1, 1]
     assert place.finished
-    place = place._replace(read=other)
-    assert place.dips(DENSITY) == 1
+    # From another answer all of it is to be looked at again.
+    place, worse = place._replace(steps={DENSITY: 2.0}), other
+    place = beside._looked_around(place)
+    assert place.read is other
+    assert place._replace(steps={DENSITY: 1.0}).dips(DENSITY) == 1
 
 
 @pytest.mark.usefixtures("single_precision")
