@@ -38,21 +38,23 @@ CLOSE, NEARBY = 0.25, 0.5
 # Share of a radius that one step leaves of it, least.
 LEAST = 0.3
 # Answers that are looked around, most, each time, and steps on along one way.
-LEFT, ON = (3, 2, 1, 1), 4
+LEFT, ON = (2, 1, 1), 4
 # Times that is done, most, and the share of what was left that is worth another after these.
-TIMES, HEADWAY = 9, 0.03
+EARLY, TIMES, HEADWAY = 1, 9, 0.03
 # What leaves less than so many times what rounding leaves is right.
 ROUNDING = 1.1
 # What leaves so much more before the rest has moved is given up, and how much more may be left by
 # what is as likely.
 WORSE, ALIKE = 1.25, 1.05
-# What leaves so many times the least is not looked around.
-FAR_WORSE = 2.0
+# What leaves so many times the least is not looked around, nor what clear rays show from there.
+FAR_WORSE, CLEARED = 2.0, 1.5
 # What a disc is found by.
 DISC = (DENSITY, LIGHT_X, LIGHT_Y, RADIUS)
 # Widths of the disc's edge in texels: of one that is drawn without anti-aliasing, whose rim is left
 # to the shadows, and from where a soft one's is looked for.
-HARD, WIDE = 0.1, 1.0
+HARD, WIDE = 0.02, 1.0
+# Parts a side into which texels of a light pass are cut that is smaller than the picture.
+PARTS = 2
 
 
 class Place(NamedTuple):
@@ -116,17 +118,17 @@ def best_around(
     each = iter(sizes)
     likely = [min((next(each) for _ in reads), key=_left) for reads in begun]
     places = side_by_side(afresh, likely)
-    apart = {(read.mask.shape, place): read for place, reads in enumerate(begun) for read in reads}
-    places += _cleared(turns, list(apart.values()), whole)
+    limit = CLEARED * min(place.left for place in sizes)
+    near = zip(itertools.chain(*begun), sizes, strict=True)
+    places += _cleared(turns, [read for read, place in near if place.left < limit], whole)
     if not min(places, key=_left).explained:
         places += _glared(sizes)
         places += _crossed(places)
-    places = _climbed(places)
+    places = _climbed(places, EARLY)
     best = min(places, key=_left)
     if not best.explained:
         # What is nearly right knows better what is clear.
-        clear = _cleared(turns, [best.read], whole)
-        places = [best, *_climbed([each for each in clear if each.left < FAR_WORSE * best.left])]
+        places = _climbed([*places, *_cleared(best.turns, [best.read], whole, True)], TIMES)
     found = itertools.chain.from_iterable(place.found for place in places)
     turns, read, *_ = min(places, key=_left)
     limit, z = ALIKE * turns.total(read), read.point.coordinates
@@ -135,10 +137,10 @@ def best_around(
     return turns, read, doubts if read.before is None else [z - read.before, *doubts]
 
 
-def _climbed(places: list[Place]) -> list[Place]:
+def _climbed(places: list[Place], most_times: int) -> list[Place]:
     """The likeliest of these, looked around again and again, fewer each time."""
     before = np.inf
-    for time in range(TIMES):
+    for time in range(most_times):
         places, most = _apart(places), LEFT[min(time, len(LEFT) - 1)]
         if not places or places[0].explained or all(place.finished for place in places[:most]):
             break
@@ -171,7 +173,8 @@ def solved(turns: Turns, begin: Read) -> Place:
     shadows that suit it, which from now on are compared with what was open at first sight."""
     hard = hardened(turns, begin)
     read = _first_sight(turns, hard.turned(_near(hard, begin), SOME))
-    return _place(hard, read)
+    # One that was solved already may be the better.
+    return _place(hard, min(read, begin, key=hard.total))
 
 
 def _place(turns: Turns, read: Read, close: Mapping[int, float] | None = None) -> Place:
@@ -181,7 +184,7 @@ def _place(turns: Turns, read: Read, close: Mapping[int, float] | None = None) -
     return Place(turns, read, (read,), steps, {})
 
 
-def _cleared(turns: Turns, reads: list[Read], whole: bool) -> list[Place]:
+def _cleared(turns: Turns, reads: list[Read], whole: bool, shaded: bool = False) -> list[Place]:
     """What clear rays show about each of these, where that was not looked at from the one before
     it."""
     places: list[Place] = []
@@ -192,10 +195,11 @@ def _cleared(turns: Turns, reads: list[Read], whole: bool) -> list[Place]:
         looked.append(read)
         # A light pass as large as the picture is drawn without anti-aliasing.
         own = read.mask.shape[:2] == turns.picture.size
-        cuts = ((1,) if own else (1, 2)) if whole else (2,)
-        hard = hardened(turns, read)
-        found = (seen_clearly(hard, read, cut) for cut in cuts)
-        places += [_suited(hard, read, z) for z in found if z is not None]
+        cuts = ((1,) if own else (1, PARTS)) if whole else (PARTS,)
+        for cut in cuts:
+            hard = hardened(turns, read, cut)
+            found = seen_clearly(hard, read, cut, shaded)
+            places += [_suited(hard, read, z) for z in found]
     return places
 
 
@@ -320,10 +324,17 @@ def _first_sight(turns: Turns, read: Read) -> Read:
     return read._replace(thought=thought)
 
 
-def hardened(turns: Turns, read: Read) -> Turns:
+def hardened(turns: Turns, read: Read, parts: int | None = None) -> Turns:
     """With the disc's edge, where it is free, held as a mask (h, w) of the size of ``read``'s has
-    it without anti-aliasing."""
-    return with_edge(turns, HARD / read.mask.shape[0]) if turns.free[EDGE] else turns
+    it without anti-aliasing, its texels cut into so many ``parts`` a side: of a light pass smaller
+    than the picture, unless that is given, as one that is scaled down."""
+    if not turns.free[EDGE]:
+        return turns
+    rows = read.mask.shape[0]
+    if parts is None:
+        parts = 1 if rows == turns.picture.size[0] else PARTS
+    cut = dataclasses.replace(turns, model=turns.model.cut_into(parts))
+    return with_edge(cut, HARD / (rows * parts))
 
 
 def _near(turns: Turns, read: Read) -> Read:

@@ -65,7 +65,9 @@ class DiscLight(AbstractModel):
     ``shading`` holds the scattering and the light's place; ``shape`` (3,) is radius and edge, in
     picture heights, and veil; ``background`` (k, c) holds linear values at the middle of the
     picture and coefficients of ``terms``; ``tint`` (2,) is red and blue of the light against green,
-    (0,) if it is white. Coordinates are Mitchell's and then these numbers, but that for gain and
+    (0,) if it is white; texels that the disc's edge crosses are ``cut`` into so many parts a side,
+    each of which is in or out, as a renderer does that draws without anti-aliasing and scales down.
+    Coordinates are Mitchell's and then these numbers, but that for gain and
     veil stand gain (1 - veil) and gain veil: the picture is linear in what the disc and the veil
     add, while gain and veil trade in a bent valley.
     """
@@ -82,12 +84,14 @@ class DiscLight(AbstractModel):
     shape: Float[Array, " 3"]
     background: Float[Array, "k c"]
     tint: Float[Array, " t"]
+    cut: int = eqx.field(static=True)
 
-    def __init__(self, shading, shape, background, tint=()):
+    def __init__(self, shading, shape, background, tint=(), cut=1):
         self.shading = shading
         self.shape = jnp.asarray(shape, float)
         self.background = jnp.atleast_2d(jnp.asarray(background, float))
         self.tint = jnp.asarray(tint, float)
+        self.cut = cut
 
     @property
     def colour(self) -> Float[Array, " c"]:
@@ -201,8 +205,9 @@ class DiscLight(AbstractModel):
         """The mask that the light pass reads, with the disc's edge at ``least`` so wide, in
         texels. What is more than open, at the disc's rim, is as bright as the disc at most."""
         radius, edge, veil = self.shape
-        away = self.away((open_.shape[0], open_.shape[1]))
-        disc = jax.nn.sigmoid((radius - away) / jnp.maximum(edge, least / open_.shape[0]))
+        (h, w), cut = open_.shape, self.cut
+        away = self.away((h * cut, w * cut)).reshape(h, cut, w, cut)
+        disc = jax.nn.sigmoid((radius - away) / jnp.maximum(edge, least / h)).mean((1, 3))
         return jnp.minimum(open_ * (veil + (1 - veil) * disc), 1.0)
 
     def away(self, size: tuple[int, int]) -> Float[Array, "h w"]:
@@ -270,6 +275,10 @@ class DiscLight(AbstractModel):
             return out, d_out + by_rest @ along[4:]
 
         return value(jnp.stack([*self.shading.values().values(), *self.shape]), open_, at)
+
+    def cut_into(self, parts: int) -> DiscLight:
+        """The same with texels ``cut`` otherwise."""
+        return DiscLight(self.shading, self.shape, self.background, self.tint, parts)
 
     def _with(self, numbers: Float[Array, " 9"]) -> DiscLight:
         """The same with scattering, light and shape from ``numbers``."""

@@ -25,10 +25,30 @@ def is_clear(x, y, light, density, samples, blocked):
 
 
 @compiled
-def disc_sums(x, y, size, light, t, c, radii, cut, power):
+def open_sums(x, y, open_, light, t, c):
+    """(n,) the sum over taps ``t``, ``c`` (k,) towards column and row ``light`` (2,) of what is
+    ``open_`` (h, w)."""
+    h, w = open_.shape
+    out = np.zeros(len(x))
+    for a in range(len(x)):
+        for k in range(len(t)):
+            column, row = x[a] + t[k] * (light[0] - x[a]), y[a] + t[k] * (light[1] - y[a])
+            left, low = int(np.floor(column)), int(np.floor(row))
+            for corner in range(4):
+                right, high = corner % 2, corner // 2
+                share = c[k] * (column - left if right else 1 - column + left)
+                share *= row - low if high else 1 - row + low
+                i, j = min(max(left + right, 0), w - 1), min(max(low + high, 0), h - 1)
+                out[a] += share * open_[j, i]
+    return out
+
+
+@compiled
+def disc_sums(x, y, clear, open_, light, t, c, radii, cut, power):
     """(n, r, power + 1) what discs of ``radii`` (r,), evenly apart, about column and row ``light``
-    (2,) add under taps ``t``, ``c`` (k,), and that times powers of how far from the last one."""
-    (h, w), count, parts = size, len(radii), cut * cut
+    (2,) add under taps ``t``, ``c`` (k,), and that times powers of how far from the last one,
+    where texels are ``open_`` (h, w); ``clear`` (n,) is said of rays on which all of them are."""
+    (h, w), count, parts = open_.shape, len(radii), cut * cut
     thin = radii[1] - radii[0] if count > 1 else 1.0
     # The first radius that has each part of a texel inside it, near the rim.
     reach = int(radii[-1]) + 3
@@ -53,7 +73,7 @@ def disc_sums(x, y, size, light, t, c, radii, cut, power):
     for a in range(len(x)):
         sums = out[a]
         start, stop = 0, len(t)
-        if straight:
+        if straight and clear[a]:
             whole = max(np.hypot(light[0] - x[a], light[1] - y[a]), 1e-9)
             start = np.searchsorted(t, 1 - (radii[-1] + 2) / whole)
             stop = np.searchsorted(t, 1 - (radii[0] - 2) / whole)
@@ -68,8 +88,9 @@ def disc_sums(x, y, size, light, t, c, radii, cut, power):
                 right, high = corner % 2, corner // 2
                 share = c[k] / parts * (column - left if right else 1 - column + left)
                 share *= row - low if high else 1 - row + low
-                i = min(max(left + right, 0), w - 1) - middle_x + reach
-                j = min(max(low + high, 0), h - 1) - middle_y + reach
+                i, j = min(max(left + right, 0), w - 1), min(max(low + high, 0), h - 1)
+                share *= open_[j, i]
+                i, j = i - middle_x + reach, j - middle_y + reach
                 if not (0 <= i <= 2 * reach and 0 <= j <= 2 * reach):
                     continue
                 for part in range(parts):
@@ -86,7 +107,7 @@ def disc_sums(x, y, size, light, t, c, radii, cut, power):
 
 
 @compiled
-def best_discs(x, y, size, lights, t, c, radii, cut, goal, basis, expanded):
+def best_discs(x, y, clear, open_, lights, t, c, radii, cut, goal, basis, expanded):
     """(m, 4) of the best disc about each column and row of ``lights`` (m, 2), by least squares: how
     much of the square of ``goal`` (n,) it explains, by how much its sums count, and which of
     ``radii`` (r,) and of ``expanded`` (q, power + 1), what powers of the way count, are its own.
@@ -95,7 +116,7 @@ def best_discs(x, y, size, lights, t, c, radii, cut, goal, basis, expanded):
     out = np.zeros((len(lights), 4))
     squares = np.empty((powers, powers))
     for m in range(len(lights)):
-        sums = disc_sums(x, y, size, lights[m], t, c, radii, cut, powers - 1)
+        sums = disc_sums(x, y, clear, open_, lights[m], t, c, radii, cut, powers - 1)
         flat = sums.reshape(n, count * powers)
         along, shown = goal @ flat, basis @ flat
         for r in range(count):

@@ -237,7 +237,8 @@ def _finer_background(
     def longer(values: np.ndarray, by: float = 0) -> np.ndarray:
         return np.insert(values, end, np.full(more, by, values.dtype))
 
-    model = screenshot.template(turns.model.shading, c, FINER, turns.model.tint)
+    was = turns.model
+    model = screenshot.template(was.shading, c, FINER, was.tint).cut_into(was.cut)
     free, held = longer(turns.free, True), longer(turns.held, np.nan)
     turns = dataclasses.replace(turns, model=model, free=free, held=held)
     return turns, read.at(longer(read.point.coordinates)), [longer(doubt) for doubt in doubts]

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from godfit.clear_rays import seen_clearly
 from godfit.disc import DENSITY, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
-from godfit.disc_sums import best_discs, disc_sums, is_clear
+from godfit.disc_sums import best_discs, disc_sums, is_clear, open_sums
 from godfit.inputs import image
 from godfit.models import Mitchell
 from godfit.observation import Picture, shrink
@@ -30,20 +30,40 @@ def drawn(size, cut, light=LIGHT, radius=RADIUS_THERE):
 
 
 @pytest.mark.parametrize("cut", [1, 2])
+def test_a_hard_disc_is_cut_as_it_is_drawn(cut):
+    """By as many parts a side."""
+    shading = Mitchell(0.03, 0.985, 0.8, 0.7, [LIGHT], "dawntime", 60)
+    model = DiscLight(shading, [RADIUS_THERE, 1e-7, VEIL], [COLOUR]).cut_into(cut)
+    mask = model.occlusion(jnp.ones(SIZE))
+    np.testing.assert_allclose(mask, VEIL + (1 - VEIL) * drawn(SIZE, cut), atol=1e-6)
+
+
+@pytest.mark.parametrize("shaded", [False, True])
+@pytest.mark.parametrize("cut", [1, 2])
 @pytest.mark.parametrize("place", [(30.3, 21.8), (-4.2, 50.1)], ids=["inside", "outside"])
-def test_sums_of_discs_are_those_of_their_masks(place, cut):
-    """Of every radius, with every power of the way, where rays leave the pass too."""
+def test_sums_of_discs_are_those_of_their_masks(place, cut, shaded):
+    """Of every radius, with every power of the way, where rays leave the pass too, and where
+    something is in their way."""
     h, w, n = 40, 60, 30
     rng = np.random.default_rng(2)
     x, y = rng.uniform(-0.5, w - 0.5, 50), rng.uniform(-0.5, h - 0.5, 50)
     t, c = 0.83 * np.arange(n + 1) / n, rng.uniform(0.5, 1, n + 1)
     radii = 7 + 0.35 * np.arange(12)
-    found = disc_sums(x, y, (h, w), np.array(place), t, c, radii, cut, 2)
+    open_ = np.ones((h, w))
+    if shaded:
+        open_[18:27, 26:33], open_[36:, :9] = 0.25, 0
+    clear = is_clear(
+        x, y, np.array(place), 0.83, n, ndimage.binary_dilation(open_ < 1, np.ones((3, 3)))
+    )
+    assert shaded or clear.all()
+    found = disc_sums(x, y, clear, open_, np.array(place), t, c, radii, cut, 2)
     light = (place[0] + 0.5) / w, 1 - (place[1] + 0.5) / h
+    at = [a[:, None] + t * (b - a[:, None]) for a, b in ((y, place[1]), (x, place[0]))]
+    read = ndimage.map_coordinates(open_, at, order=1, mode="nearest")
+    np.testing.assert_allclose(open_sums(x, y, open_, np.array(place), t, c), read @ c, atol=1e-9)
     for i, radius in enumerate(radii):
         mask = drawn((h, w), cut, light, radius / h)
-        at = [a[:, None] + t * (b - a[:, None]) for a, b in ((y, place[1]), (x, place[0]))]
-        read = ndimage.map_coordinates(mask, at, order=1, mode="nearest")
+        read = ndimage.map_coordinates(open_ * mask, at, order=1, mode="nearest")
         for power in range(3):
             expected = (read * c * (t - t[-1]) ** power).sum(1)
             np.testing.assert_allclose(found[:, i, power], expected, atol=1e-9)
@@ -59,11 +79,16 @@ def test_the_best_disc_is_that_of_least_squares():
     expanded = np.stack([[1.0, -a, a**2 / 2] for a in (-0.4, 0.0, 0.5)])
     background = np.column_stack([np.ones(80), x])
     basis = np.linalg.qr(background)[0].T.copy()
-    levels = rng.normal(size=80) + disc_sums(x, y, (h, w), lights[0], t, c, radii, 1, 0)[:, 4, 0]
+    open_, clear = np.ones((h, w)), np.ones(80, bool)
+
+    def sums_of(light, powers):
+        return disc_sums(x, y, clear, open_, light, t, c, radii, 1, powers)
+
+    levels = rng.normal(size=80) + sums_of(lights[0], 0)[:, 4, 0]
     goal = levels - basis.T @ (basis @ levels)
-    found = best_discs(x, y, (h, w), lights, t, c, radii, 1, goal, basis, expanded)
+    found = best_discs(x, y, clear, open_, lights, t, c, radii, 1, goal, basis, expanded)
     for light, best in zip(lights, found, strict=True):
-        sums = disc_sums(x, y, (h, w), light, t, c, radii, 1, 2) @ expanded.T
+        sums = sums_of(light, 2) @ expanded.T
         fits = {}
         for r, q in np.ndindex(sums.shape[1:]):
             design = np.column_stack([background, sums[:, r, q]])
@@ -112,18 +137,22 @@ def test_the_disc_is_told_to_a_fraction_of_a_texel(cut, blue):
         z[KAPPA] *= 0.8
         seen = picture.observe(picture.informative(1000, 0))
         begin = Read.of(Point(z, np.inf, False, 0), open_.astype(np.float32), seen)
-        found = seen_clearly(turns, begin, cut)
+        found, shaded = seen_clearly(turns, begin, cut, shaded=True)
         if blue > 0.5:
             alone = dataclasses.replace(picture, valid=picture.valid & ~picture.clipped)
-            assert seen_clearly(dataclasses.replace(turns, picture=alone), begin, cut) is None
-    assert found is not None
-    off = np.abs(found - true)
-    assert off[LIGHT_X] * SIZE[1] < 0.1
-    assert off[LIGHT_Y] * SIZE[0] < 0.1
-    # Of what is clipped in one channel there are fewer rays.
-    assert off[RADIUS] < (0.01 if blue < 0.5 else 0.02) * true[RADIUS]
-    assert off[DENSITY] < 0.005
-    assert off[KAPPA] < 0.1 * true[KAPPA]
+            alone = dataclasses.replace(turns, picture=alone)
+            assert (
+                seen_clearly(dataclasses.replace(turns, picture=alone), begin, cut, shaded=False)
+                == []
+            )
+    for each in (found, shaded):
+        off = np.abs(each - true)
+        assert off[LIGHT_X] * SIZE[1] < 0.1
+        assert off[LIGHT_Y] * SIZE[0] < 0.1
+        # Of what is clipped in one channel there are fewer rays.
+        assert off[RADIUS] < (0.01 if blue < 0.5 else 0.02) * true[RADIUS]
+        assert off[DENSITY] < 0.005
+        assert off[KAPPA] < 0.1 * true[KAPPA]
 
 
 def found_from_the_middle(target, open_, channels):
@@ -137,12 +166,12 @@ def found_from_the_middle(target, open_, channels):
         turns = Turns(model, picture, open_ == 0, 0.0, free, held, 0)
         z = np.asarray(model.coordinates(), np.float32)
         begin = Read.of(Point(z, np.inf, False, 0), open_, picture.observe(np.arange(200)))
-        return seen_clearly(turns, begin, 1)
+        return seen_clearly(turns, begin, 1, shaded=True)
 
 
 def test_where_nothing_is_clear_nothing_is_told():
     shut = np.zeros(SIZE, np.float32)
-    assert found_from_the_middle(np.zeros((*SIZE, 3), np.uint8), shut, 1) is None
+    assert found_from_the_middle(np.zeros((*SIZE, 3), np.uint8), shut, 1) == []
 
 
 @pytest.mark.parametrize("spread", [0.0, 6.0], ids=["even", "noise"])
@@ -151,4 +180,4 @@ def test_a_disc_that_does_not_stand_out_is_none(spread):
     rng = np.random.default_rng(4)
     target = np.array([90, 100, 110]) + spread * rng.normal(size=(*SIZE, 3))
     target = np.round(target).astype(np.uint8)
-    assert found_from_the_middle(target, np.ones(SIZE, np.float32), 3) is None
+    assert found_from_the_middle(target, np.ones(SIZE, np.float32), 3) == []
