@@ -141,10 +141,7 @@ def test_the_disc_is_told_to_a_fraction_of_a_texel(cut, blue):
         if blue > 0.5:
             alone = dataclasses.replace(picture, valid=picture.valid & ~picture.clipped)
             alone = dataclasses.replace(turns, picture=alone)
-            assert (
-                seen_clearly(dataclasses.replace(turns, picture=alone), begin, cut, shaded=False)
-                == []
-            )
+            assert seen_clearly(alone, begin, cut, shaded=False) == []
     for each in (found, shaded):
         off = np.abs(each - true)
         assert off[LIGHT_X] * SIZE[1] < 0.1
