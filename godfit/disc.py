@@ -210,12 +210,35 @@ class DiscLight(AbstractModel):
         disc = jax.nn.sigmoid((radius - away) / jnp.maximum(edge, least / h)).mean((1, 3))
         return jnp.minimum(open_ * (veil + (1 - veil) * disc), 1.0)
 
+    def occlusion_slopes(self, open_: Float[Array, "h w"], least: float) -> Float[Array, "h w 5"]:
+        """Derivatives of ``occlusion`` by the light's place and ``shape``, of texels that are not
+        cut: what parts of one do apart, an edge at ``least`` so wide does together. In closed form:
+        of a whole picture dual numbers of every part cost twenty times the sum over taps."""
+        radius, edge, veil = self.shape
+        (h, w), wide = open_.shape, jnp.maximum(edge, least / open_.shape[0])
+        x, y, away = self._from_light((h, w))
+        disc = jax.nn.sigmoid((radius - away) / wide)
+        lit = open_ * (veil + (1 - veil) * disc)
+        by_radius = open_ * (1 - veil) * disc * (1 - disc) / wide
+        by_edge = -by_radius * (radius - away) / wide * (edge >= least / h)
+        slopes = [
+            by_radius * x * (w / h) / away, by_radius * y / away, by_radius, by_edge,
+            open_ * (1 - disc),
+        ]  # fmt: skip
+        return jnp.where(lit[..., None] > 1, 0.0, jnp.stack(slopes, -1))
+
     def away(self, size: tuple[int, int]) -> Float[Array, "h w"]:
         """How far from the light texels are, in picture heights."""
+        return self._from_light(size)[2]
+
+    def _from_light(self, size: tuple[int, int]):
+        """How far to the right and above (1, w), (h, 1) and how far (h, w) from the light texels
+        are, in picture heights."""
         h, w = size
         x = (jnp.arange(w, dtype=self.shape.dtype) + 0.5) / w - self.light[0, 0]
         y = 1 - (jnp.arange(h, dtype=self.shape.dtype) + 0.5) / h - self.light[0, 1]
-        return jnp.sqrt((x * w / h)[None] ** 2 + y[:, None] ** 2 + 1e-12)
+        x, y = (x * w / h)[None], y[:, None]
+        return x, y, jnp.sqrt(x**2 + y**2 + 1e-12)
 
     def rim(self, size: tuple[int, int]) -> Bool[Array, "h w"]:
         """Texels that the disc's edge may cut."""
@@ -260,15 +283,12 @@ class DiscLight(AbstractModel):
                 raise ValueError("a disc's light pass is differentiable in its own numbers alone")
             here = self._with(numbers)
 
-            def mask(rest):
-                return self._with(jnp.concatenate([numbers[:4], rest])).occlusion(open_, SOFT)
-
             def under_it(first):
                 shading = self._with(jnp.concatenate([first, numbers[6:]])).shading
                 return shading.light_pass(still, at, method)
 
             still = here.occlusion(open_)
-            changes = jax.jacfwd(mask)(numbers[4:])
+            changes = here.occlusion_slopes(open_, SOFT)
             out, by_first = _jacobian(under_it, numbers[:6])
             by_rest = here.shading.light_pass(changes, at, method)
             d_out = jnp.tensordot(along[:6], by_first, 1)

@@ -12,7 +12,8 @@ from scipy.stats import norm
 
 import godfit
 from godfit import beside, screen_disc, screenshot, unaided
-from godfit.disc import FIRST, GAIN, LIGHT_X, LIGHT_Y, VEIL, DiscLight
+from godfit.bright_pass import BrightPass
+from godfit.disc import FIRST, GAIN, LIGHT_X, LIGHT_Y, SOFT, VEIL, DiscLight
 from godfit.explained import explained, grain
 from godfit.inputs import image, shrink_mask
 from godfit.likelihood import ANY_LEVEL, deviance_residuals, interval
@@ -120,6 +121,31 @@ def test_a_hard_edge_has_the_derivatives_of_a_softer_one():
     size = np.abs(average).max()
     assert np.abs(np.asarray(slope) - average).mean() < 0.05 * size
     np.testing.assert_allclose(slope.mean(), average.mean(), rtol=0.1)
+
+
+@pytest.mark.parametrize("edge", [1e-6, 0.02])
+def test_slopes_of_the_mask_are_those_of_dual_numbers(edge):
+    """In closed form, also where what is more than open is clamped; and those of a bright-pass."""
+    rng = np.random.default_rng(2)
+    open_ = jnp.asarray(rng.uniform(0, 1.6, SIZE))
+    disc = disc_model()
+    models = [
+        DiscLight(disc.shading, [0.15, edge, 0.06], np.zeros((1, 3))),
+        BrightPass(disc.shading, [0.6, 0.05, 0.1], np.zeros((1, 3)), 0.2),
+    ]
+    for model in models:
+        place = jnp.concatenate([model.light[0], model.shape])
+
+        def mask(place, model=model):
+            numbers = jnp.concatenate([jnp.stack([*model.shading.values().values()])[:4], place])
+            least = () if isinstance(model, BrightPass) else (SOFT,)
+            return model._with(numbers).occlusion(open_, *least)
+
+        expected = jax.jit(jax.jacfwd(mask))(place)
+        found = np.asarray(model.occlusion_slopes(open_, SOFT))
+        size = np.abs(expected).max((0, 1))
+        assert (size[2 * isinstance(model, BrightPass) :] > 0)[[0, 2]].all()
+        np.testing.assert_allclose(found, expected, atol=1e-9 * (1 + size.max()))
 
 
 def test_the_picture_is_linear_in_what_disc_and_veil_add():
