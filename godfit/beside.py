@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ import numpy as np
 from godfit import glare
 from godfit.clear_rays import looks_alike, seen_clearly
 from godfit.disc import DENSITY, EDGE, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, SOFT
+from godfit.explained import predicted
 from godfit.observation import shrink
 from godfit.side_by_side import side_by_side
 from godfit.turns import Read, Turns
@@ -41,8 +42,11 @@ LEAST = 0.3
 LEFT, ON = (2, 1, 1), 4
 # Times that is done, most, and the share of what was left that is worth another after these.
 EARLY, TIMES, HEADWAY = 1, 9, 0.03
-# What leaves less than so many times what rounding leaves is right.
-ROUNDING = 1.1
+# Share of what is seen that is off by no more than so many halves of a level where rounding alone
+# is left: of the light pass, and of a background that varies as well (quantiles of one and of the
+# sum of two uniform errors, and a little). The rest is where an object's edge is not known, and
+# costs no more than so many times what one rounding does.
+MOST, ONCE, TWICE, REST = 0.9, 1.0, 1.4, 2.5
 # What leaves so much more before the rest has moved is given up, and how much more may be left by
 # what is as likely.
 WORSE, ALIKE = 1.25, 1.05
@@ -77,14 +81,22 @@ class Place(NamedTuple):
 
     @property
     def explained(self) -> bool:
-        """Nothing is left but what rounding leaves."""
-        rounding = (self.turns.picture.half / self.turns.noise) ** 2 / 6
-        return self.read.point.cost < ROUNDING * rounding * np.size(self.read.seen.lo)
+        """Hardly anything is left but what rounding leaves."""
+        seen, turns = self.read.seen, self.turns
+        rounding = (turns.picture.half / turns.noise) ** 2 / 6 * np.size(seen.lo)
+        if self.read.point.cost > REST * rounding:
+            return False
+        levels = predicted(self.read.point.coordinates, turns.held, turns.model, seen)
+        lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
+        known = np.isfinite(lo) & np.isfinite(hi)
+        off = np.abs(np.asarray(levels) - (lo + hi) / 2)[known]
+        rounded = ONCE if turns.model.background.shape[0] == 1 else TWICE
+        return len(off) > 0 and np.quantile(off, MOST) < rounded * turns.picture.half
 
     @property
     def finished(self) -> bool:
-        """Nothing was found however near it was looked, or nothing is left to be explained."""
-        return self.explained or all(map(self._exhausted, self.steps))
+        """Nothing was found however near it was looked."""
+        return all(map(self._exhausted, self.steps))
 
     def _exhausted(self, index: int) -> bool:
         dips = self.dips(index)
@@ -118,17 +130,25 @@ def best_around(
     each = iter(sizes)
     likely = [min((next(each) for _ in reads), key=_left) for reads in begun]
     places = side_by_side(afresh, likely)
-    limit = CLEARED * min(place.left for place in sizes)
-    near = zip(itertools.chain(*begun), sizes, strict=True)
-    places += _cleared(turns, [read for read, place in near if place.left < limit], whole)
-    if not min(places, key=_left).explained:
-        places += _glared(sizes)
-        places += _crossed(places)
-    places = _climbed(places, EARLY)
-    best = min(places, key=_left)
-    if not best.explained:
-        # What is nearly right knows better what is clear.
-        places = _climbed([*places, *_cleared(best.turns, [best.read], whole, True)], TIMES)
+    # On a copy no disc is as it was drawn.
+    if whole:
+        limit = CLEARED * min(place.left for place in sizes)
+        near = zip(itertools.chain(*begun), sizes, strict=True)
+        asked = [read for read, place in near if place.left < limit]
+        cleared = _cleared(turns, asked)
+        places += cleared
+        if not min(places, key=_left).explained:
+            places += _glared(sizes)
+            places += _crossed(places)
+        places = _climbed(places, EARLY)
+        best = min(places, key=_left)
+        if not best.explained:
+            # What is nearly right knows better what is clear.
+            asked += [place.read for place in cleared]
+            places += _cleared(best.turns, [best.read], asked, True)
+            places = _climbed(places, TIMES)
+    else:
+        places = _climbed(places, EARLY)
     found = itertools.chain.from_iterable(place.found for place in places)
     turns, read, *_ = min(places, key=_left)
     limit, z = ALIKE * turns.total(read), read.point.coordinates
@@ -141,8 +161,11 @@ def _climbed(places: list[Place], most_times: int) -> list[Place]:
     """The likeliest of these, looked around again and again, fewer each time."""
     before = np.inf
     for time in range(most_times):
-        places, most = _apart(places), LEFT[min(time, len(LEFT) - 1)]
-        if not places or places[0].explained or all(place.finished for place in places[:most]):
+        places = _apart(places)
+        explained = places[0].explained
+        # What is explained is looked around once.
+        most = 1 if explained else LEFT[min(time, len(LEFT) - 1)]
+        if (explained and time > 0) or all(place.finished for place in places[:most]):
             break
         if time >= len(LEFT) and not places[0].left < (1 - HEADWAY) * before:
             break
@@ -184,21 +207,23 @@ def _place(turns: Turns, read: Read, close: Mapping[int, float] | None = None) -
     return Place(turns, read, (read,), steps, {})
 
 
-def _cleared(turns: Turns, reads: list[Read], whole: bool, shaded: bool = False) -> list[Place]:
-    """What clear rays show about each of these, where that was not looked at from the one before
-    it."""
+def _cleared(
+    turns: Turns, reads: list[Read], asked: Iterable[Read] = (), shaded: bool = False
+) -> list[Place]:
+    """What clear rays show about each of these, where that was not ``asked`` before; and, if that
+    is wanted, ``shaded`` ones."""
     places: list[Place] = []
-    looked: list[Read] = []
+    looked = [*asked]
     for read in reads:
-        if any(looks_alike(read, other) for other in looked):
+        clear = not any(looks_alike(read, other) for other in looked)
+        if not (clear or shaded):
             continue
         looked.append(read)
         # A light pass as large as the picture is drawn without anti-aliasing.
         own = read.mask.shape[:2] == turns.picture.size
-        cuts = ((1,) if own else (1, PARTS)) if whole else (PARTS,)
-        for cut in cuts:
+        for cut in (1,) if own else (1, PARTS):
             hard = hardened(turns, read, cut)
-            found = seen_clearly(hard, read, cut, shaded)
+            found = seen_clearly(hard, read, cut, clear, shaded)
             places += [_suited(hard, read, z) for z in found]
     return places
 

@@ -102,20 +102,22 @@ class Rays(NamedTuple):
         return self._replace(x=x, y=y, clear=clear, levels=levels, terms=terms)
 
 
-def seen_clearly(turns: Turns, read: Read, cut: int, shaded: bool) -> list[np.ndarray]:
-    """Coordinates (p,) of the disc about that of ``read`` that stands out most along clear rays;
-    none where too few are clear, or none stands out. A texel at its rim is in or out, or a mean of
-    ``cut`` by ``cut`` parts that are. Where rays that are partly ``shaded`` are asked too, also of
-    the disc that stands out most along these: what is in their way is as first seen, but for where
-    shadows have changed that, which they avoid.
+def seen_clearly(turns: Turns, read: Read, cut: int, clear: bool, shaded: bool) -> list[np.ndarray]:
+    """Coordinates (p,) of the disc about that of ``read`` that stands out most along ``clear``
+    rays; none where too few are clear, or none stands out. A texel at its rim is in or out, or a
+    mean of ``cut`` by ``cut`` parts that are. Where rays that are partly ``shaded`` are asked, also
+    of the disc that stands out most along these: what is in their way is as first seen, but for
+    where shadows have changed that, which they avoid.
 
     Where glare leaves nothing else of the disc, also rays that are clipped in some channels start:
     there it is so bright that among discs as far apart as these the right one may be missed.
     """
     picture = turns.picture
-    found = [_seen(turns, read, cut, picture.valid & ~picture.clipped, False)]
-    if found[0] is None and (picture.readable & picture.clipped).any():
-        found.append(_seen(turns, read, cut, picture.readable, False))
+    found: list[np.ndarray | None] = []
+    if clear:
+        found.append(_seen(turns, read, cut, picture.valid & ~picture.clipped, False))
+        if found[0] is None and (picture.readable & picture.clipped).any():
+            found.append(_seen(turns, read, cut, picture.readable, False))
     if shaded:
         found.append(_seen(turns, read, cut, picture.readable, True))
     return [z for z in found if z is not None]

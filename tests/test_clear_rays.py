@@ -137,11 +137,11 @@ def test_the_disc_is_told_to_a_fraction_of_a_texel(cut, blue):
         z[KAPPA] *= 0.8
         seen = picture.observe(picture.informative(1000, 0))
         begin = Read.of(Point(z, np.inf, False, 0), open_.astype(np.float32), seen)
-        found, shaded = seen_clearly(turns, begin, cut, shaded=True)
+        found, shaded = seen_clearly(turns, begin, cut, clear=True, shaded=True)
         if blue > 0.5:
             alone = dataclasses.replace(picture, valid=picture.valid & ~picture.clipped)
             alone = dataclasses.replace(turns, picture=alone)
-            assert seen_clearly(alone, begin, cut, shaded=False) == []
+            assert seen_clearly(alone, begin, cut, clear=True, shaded=False) == []
     for each in (found, shaded):
         off = np.abs(each - true)
         assert off[LIGHT_X] * SIZE[1] < 0.1
@@ -163,7 +163,7 @@ def found_from_the_middle(target, open_, channels):
         turns = Turns(model, picture, open_ == 0, 0.0, free, held, 0)
         z = np.asarray(model.coordinates(), np.float32)
         begin = Read.of(Point(z, np.inf, False, 0), open_, picture.observe(np.arange(200)))
-        return seen_clearly(turns, begin, 1, shaded=True)
+        return seen_clearly(turns, begin, 1, clear=True, shaded=True)
 
 
 def test_where_nothing_is_clear_nothing_is_told():
