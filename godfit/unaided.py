@@ -216,9 +216,10 @@ def _searched(
     say("shadows of the whole picture")
     few = picture.observe(picture.informative(screenshot.MORE, seed + 2))
     mask = screenshot.enlarged(read.mask, read.thought, np.asarray(picture.mask))
+    # What it left on the copy says nothing of what it leaves here.
+    there = read.point._replace(cost=np.inf)
     own, half = (
-        Read.of(read.point, inputs.shrink_mask(mask, scale), few)
-        for scale in (pass_scale or 1.0, HALF)
+        Read.of(there, inputs.shrink_mask(mask, scale), few) for scale in (pass_scale or 1.0, HALF)
     )
     sizes = [own, half] if pass_scale is None else [own]
     place = min(side_by_side(functools.partial(solved, turns), sizes), key=lambda p: p.left)
