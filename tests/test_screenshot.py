@@ -406,9 +406,12 @@ def test_a_black_picture_has_no_rays():
     assert "no rays were found" in result.message
 
 
-@pytest.mark.parametrize("scale", [1.0, 0.5], ids=["whole", "half"])
-def test_the_size_of_the_light_pass_is_found(scale, monkeypatch):
-    """And, where it is smaller, its shadows: from a mask whose object is a pixel too small."""
+@pytest.mark.parametrize(
+    ("scale", "smaller"), [(1.0, 1), (0.5, 1), (0.5, 2)], ids=["whole", "half", "half, from a copy"]
+)
+def test_the_size_of_the_light_pass_is_found(scale, smaller, monkeypatch):
+    """And, where it is smaller, its shadows: from a mask whose object is a pixel too small; also
+    where the search ended on a copy that is so much smaller."""
     model, h, w = disc_model(samples=25), *SIZE
     open_ = np.ones(SIZE, np.float32)
     open_[31:46, 75:89] = 0
@@ -425,8 +428,9 @@ def test_the_size_of_the_light_pass_is_found(scale, monkeypatch):
     picture = dataclasses.replace(reading.picture, mask=thought, valid=~silent)
     reading = reading._replace(picture=picture, unknown=unknown, degree=0)
     z = np.asarray(model.coordinates(), np.float32)
-    end = screenshot.End(z, thought, thought)
-    found = screenshot.Look((end,), picture, model, np.tile(z[4:6], (3, 1)), 0.9)
+    copy = picture.shrunk(smaller)
+    end = screenshot.End(z, copy.mask, copy.mask)
+    found = screenshot.Look((end,), copy, model, np.tile(z[4:6], (3, 1)), 0.9)
     monkeypatch.setattr(screenshot, "read", lambda *_: reading)
     monkeypatch.setattr(screenshot, "look", lambda *_: found)
     held = {"edge": 0.01, "exposure": 0.05}

@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 from godfit import beside, glare
 from godfit import lasso as lasso_module
 from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
+from godfit.explained import predicted
 from godfit.lasso import Along, lasso
 from godfit.models import Mitchell
 from godfit.observation import Picture
@@ -239,17 +240,17 @@ def test_what_lies_beside_an_answer_is_found(known, monkeypatch):
     still, stuck = begun(still, picture, z)
     stuck = still.turned(stuck, 6)
     turns = dataclasses.replace(turns, held=still.held)
-    _, read, _ = beside.best_around(turns, [[stuck]], whole=False)
+    _, read, _ = beside.best_around(turns, [[stuck]], whole=True)
     with monkeypatch.context() as patch:
         patch.setattr(beside, "BESIDE", {})
-        _, alone, _ = beside.best_around(turns, [[stuck]], whole=False)
+        _, alone, _ = beside.best_around(turns, [[stuck]], whole=True)
     off = np.abs(read.point.coordinates - truth)
     assert turns.total(read) < 0.5 * turns.total(alone)
     assert off[[LIGHT_X, LIGHT_Y]].max() < 0.5 / SIZE[1]
     assert (off[[i for i in known if i != GAIN]] == 0).all()
     if not known:
         # What was found elsewhere is as good a start, but for what sums in float32 leave open.
-        _, again, _ = beside.best_around(turns, [[stuck], [read]], whole=False)
+        _, again, _ = beside.best_around(turns, [[stuck], [read]], whole=True)
         assert turns.total(again) <= (1 + 1e-6) * turns.total(read)
 
 
@@ -264,16 +265,17 @@ def test_the_middle_of_glare_is_held_until_its_shadows_suit_it(monkeypatch):
     still = dataclasses.replace(turns, free=turns.free & (np.arange(len(z)) != LIGHT_X))
     still, stuck = begun(still, picture, z)
     turns = dataclasses.replace(turns, held=still.held)
-    _, read, _ = beside.best_around(turns, [[stuck]], whole=False)
+    _, read, _ = beside.best_around(turns, [[stuck]], whole=True)
     assert np.abs(read.point.coordinates - truth)[[LIGHT_X, LIGHT_Y]].max() < 1 / SIZE[1]
     # One that is given stays.
     turns = dataclasses.replace(turns, free=still.free)
-    _, read, _ = beside.best_around(turns, [[stuck]], whole=False)
+    _, read, _ = beside.best_around(turns, [[stuck]], whole=True)
     assert read.point.coordinates[LIGHT_X] == z[LIGHT_X]
 
 
 @pytest.mark.usefixtures("single_precision")
-def test_what_rounding_alone_is_left_of_is_not_looked_around(monkeypatch):
+def test_what_rounding_alone_is_left_of_is_looked_around_once(monkeypatch):
+    """And no ray is asked that an object stands before."""
     picture, truth, turns = lit(1e-5, bar=False)
     turns, read = begun(turns, picture, truth)
     # How the rim is cut is read in a few turns.
@@ -284,9 +286,39 @@ def test_what_rounding_alone_is_left_of_is_not_looked_around(monkeypatch):
     z[LIGHT_X] += 2 / SIZE[1]
     held = dataclasses.replace(turns, free=turns.free & (np.arange(len(z)) != LIGHT_X))
     assert not beside.solved(held, begun(held, picture, z)[1]).explained
-    monkeypatch.setattr(beside, "_looked_around", None)
-    _, there, _ = beside.best_around(turns, [[read]], whole=False)
+    asked, around, look = [], [], beside._looked_around
+    monkeypatch.setattr(beside, "seen_clearly", lambda *a: asked.append(a[-1]) or [])
+    monkeypatch.setattr(beside, "_looked_around", lambda place: around.append(1) or look(place))
+    _, there, _ = beside.best_around(turns, [[read]], whole=True)
     assert np.abs(there.point.coordinates - truth)[LIGHT_X] < 0.1 / SIZE[1]
+    assert len(around) == 1
+    assert asked == [False]
+
+
+@pytest.mark.parametrize("terms", [1, 3], ids=["constant", "varying"])
+def test_what_is_explained_may_leave_a_few_values(terms):
+    """Nearly all of what is seen is off by what rounding leaves, twice where the background was
+    rounded too, and the rest is not far off."""
+    picture, _, turns = lit(1e-5, bar=False)
+    model = DiscLight(turns.model.shading, turns.model.shape, np.full((terms, 1), 0.1))
+    z = np.asarray(model.coordinates())
+    turns = dataclasses.replace(turns, model=model, held=np.full(len(z), np.nan))
+    pixels = np.flatnonzero(picture.levels < 254)[::7]
+    seen, rng = picture.observe(pixels), np.random.default_rng(0)
+    levels = np.asarray(predicted(z, turns.held, model, seen))
+    off = rng.uniform(-0.5, 0.5, (min(terms, 2), len(levels))).sum(0)
+
+    def explained(share, by, cost):
+        far = rng.uniform(size=len(levels)) < share
+        there = levels + off + by * far
+        moved = dataclasses.replace(seen, lo=there - 0.5, hi=there + 0.5)
+        read = Read.of(Point(z, cost * len(levels) / 24, True, 0), picture.mask, moved)
+        return beside.Place(turns, read, (read,), {}, {}).explained
+
+    assert explained(0.0, 0.0, 1.0)
+    assert explained(0.04, 5.0, 2.4)
+    assert not explained(0.04, 5.0, 2.6)
+    assert not explained(0.2, 2.5, 1.0)
 
 
 def test_radius_and_density_go_from_dip_to_dip(monkeypatch):
@@ -330,7 +362,6 @@ def test_nearer_and_then_far_dips_are_looked_at_and_then_no_more(monkeypatch):
     monkeypatch.setattr(beside, "BESIDE", {DENSITY: 2.0})
     monkeypatch.setattr(beside, "_beside", beside_it)
     monkeypatch.setattr(Turns, "total", lambda self, read: read.point.cost)
-    monkeypatch.setattr(beside, "ROUNDING", 0.0)
     place = beside._place(turns, best)
     for expected in (2, 1, beside.FARTHER):
         assert not place.finished
