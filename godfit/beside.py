@@ -52,6 +52,8 @@ MOST, ONCE, TWICE, REST = 0.9, 1.0, 1.4, 2.5
 WORSE, ALIKE = 1.25, 1.05
 # What leaves so many times the least is not looked around, nor what clear rays show from there.
 FAR_WORSE, CLEARED = 2.0, 1.5
+# Texture, in levels, next to which no disc is told to a part of a texel.
+TEXTURE = 1.0
 # What a disc is found by.
 DISC = (DENSITY, LIGHT_X, LIGHT_Y, RADIUS)
 # Widths of the disc's edge in texels: of one that is drawn without anti-aliasing, whose rim is left
@@ -130,8 +132,8 @@ def best_around(
     each = iter(sizes)
     likely = [min((next(each) for _ in reads), key=_left) for reads in begun]
     places = side_by_side(afresh, likely)
-    # On a copy no disc is as it was drawn.
-    if whole:
+    # On a copy no disc is as it was drawn, and texture hides how it was.
+    if whole and turns.texture < TEXTURE:
         limit = CLEARED * min(place.left for place in sizes)
         near = zip(itertools.chain(*begun), sizes, strict=True)
         asked = [read for read, place in near if place.left < limit]

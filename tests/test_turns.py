@@ -293,6 +293,11 @@ def test_what_rounding_alone_is_left_of_is_looked_around_once(monkeypatch):
     assert np.abs(there.point.coordinates - truth)[LIGHT_X] < 0.1 / SIZE[1]
     assert len(around) == 1
     assert asked == [False]
+    # Next to texture, or on a copy, rays would not tell.
+    asked.clear()
+    for there, whole in ((dataclasses.replace(turns, texture=2.0), True), (turns, False)):
+        beside.best_around(there, [[read]], whole=whole)
+    assert not asked
 
 
 @pytest.mark.parametrize("terms", [1, 3], ids=["constant", "varying"])
