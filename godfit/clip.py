@@ -3,7 +3,7 @@ each frame's own.
 
 Frames are taken one after another and fitted alone, as pictures that come with nothing; of each
 only its answer and covariance are kept, so that memory does not grow with their number. What they
-say of the shader is pooled, see ``pooling.py``, and every light is told again given that.
+say of the shader is pooled number by number, see ``pooling.py``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from godfit.errors import InputError
 from godfit.estimates import estimates
 from godfit.image import Image
 from godfit.inputs import Source
-from godfit.models import AbstractModel
+from godfit.models import FAINTEST, AbstractModel
 from godfit.observation import shrink
 from godfit.parameters import SCATTERING
 from godfit.pooling import Pool, pooled
@@ -41,9 +41,9 @@ SCATTERED = "frames scatter {:.2g} times as much as they quote; errors are widen
 
 
 class Frame(NamedTuple):
-    """What one frame says: its ``light`` (2,) with standard errors ``error`` (2,), told with what
-    all frames say of the shader; ``params`` of the scattering, as it alone has them; ``message``
-    says why it is left out, "" where it is not. ``combined`` is as in ``FitResult``."""
+    """What one frame alone says: its ``light`` (2,) with standard errors ``error`` (2,) and
+    ``params`` of the scattering; ``message`` says why it is left out, "" where it is not.
+    ``combined`` is as in ``FitResult``."""
 
     name: str
     light: np.ndarray
@@ -107,7 +107,7 @@ def fit_clip(
     *,
     shader: str | None = None,
     samples: int | None = None,
-    pass_scale: float = 1.0,
+    pass_scale: float | None = None,
     valid: np.ndarray | None = None,
     fix: Mapping[str, float | None] | None = None,
     start: Mapping[str, float] | None = None,
@@ -117,7 +117,7 @@ def fit_clip(
     """Fit one shader, and a light for each frame, to several finished pictures.
 
     **Arguments:** as of ``godfit.fit``. `frames` are taken one at a time, so that a generator will
-    do; `valid` (h, w) holds for all of them.
+    do; `valid` (h, w) holds for all of them; of a `pass_scale` that is not given each is asked.
 
     **Returns:** a `ClipResult`. Raises `InputError`, a ValueError of one line, for frames that
     cannot be read, and for fewer than two.
@@ -177,17 +177,46 @@ def _answer(name: str, found: Found) -> _Answer:
     return _Answer(name, at[:count], covariance, found.opened, found.objection)
 
 
-def _information(answer: _Answer) -> np.ndarray:
-    """(4, 4) the inverse covariance of the scattering, 0 in the rows of what is not told."""
-    out = np.zeros((SHARED, SHARED))
-    block = answer.covariance[:SHARED, :SHARED]
-    told = np.diag(block) > 0
-    if answer.message or not told.any():
-        return out
-    size = np.sqrt(np.diag(block)[told])
-    inverse = np.linalg.pinv(block[np.ix_(told, told)] / np.outer(size, size), hermitian=True)
-    out[np.ix_(told, told)] = inverse / np.outer(size, size)
+def _shared(at: np.ndarray) -> np.ndarray:
+    """(4,) of coordinates (6,) what is pooled: exposure, attenuation along the whole ray (of decay
+    alone), density, and the logarithm of gain times density (of exposure times weight alone),
+    which frames tell to within factors."""
+    exposure, kappa, density, gain = at[:SHARED]
+    return np.array([exposure, kappa * density, density, np.log(max(gain * density, FAINTEST))])
+
+
+def _slopes(at: np.ndarray) -> np.ndarray:
+    """(4, 4) derivatives of ``_shared`` by the coordinates."""
+    _, kappa, density, gain = at[:SHARED]
+    out = np.eye(SHARED)
+    out[1, 1:3] = density, kappa
+    out[3, 2:] = 1 / density, 1 / max(gain, FAINTEST)
     return out
+
+
+def _information(answer: _Answer) -> np.ndarray:
+    """(4, 4) the inverse variances of what is shared, 0 of what is not told. How they vary together
+    is not asked: where masks are a frame's own it claims to know combinations better than it
+    does, and of frames alike, which vary alike, the mean is the same."""
+    block, slopes = answer.covariance[:SHARED, :SHARED], _slopes(answer.at)
+    variance = np.diag(slopes @ block @ slopes.T)
+    told = (np.diag(block) > 0) & (not answer.message)
+    return np.diag(np.where(told, 1 / np.where(told, variance, 1.0), 0.0))
+
+
+def _pooled(answers: list[_Answer]) -> Pool:
+    """What frames say of the scattering together, in coordinates (4,)."""
+    pool = pooled(
+        np.stack([_shared(a.at) for a in answers]), np.stack([_information(a) for a in answers])
+    )
+    exposure, along, density, product = pool.mean
+    mean = np.array([exposure, along / density, density, np.exp(product) / density])
+    told = np.isfinite(np.diag(pool.covariance))
+    known = np.where(told[:, None] & told, pool.covariance, 0.0)
+    back = np.linalg.inv(_slopes(mean))
+    covariance = np.where(told[:, None] & told, back @ known @ back.T, 0.0)
+    covariance[~told, ~told] = np.inf
+    return pool._replace(mean=mean, covariance=covariance)
 
 
 def _concluded(
@@ -199,10 +228,9 @@ def _concluded(
     shown: np.ndarray,
     began: float,
 ) -> ClipResult:
-    informations = np.stack([_information(a) for a in answers])
-    pool = pooled(np.stack([a.at[:SHARED] for a in answers]), informations)
+    pool = _pooled(answers)
     told = np.isfinite(np.diag(pool.covariance))
-    agrees = pool.agrees & (informations != 0).any((1, 2))
+    agrees = pool.agrees & [_information(a).any() for a in answers]
     first = answers[int(agrees.argmax())]
     spread = np.zeros((SHARED + 2, SHARED + 2))
     spread[:SHARED, :SHARED] = np.where(told[:, None] & told, pool.covariance, 0.0)
@@ -214,7 +242,7 @@ def _concluded(
     z = np.append(pool.mean, first.at[SHARED:])
     result = estimates(shading, z.astype(np.float32), spread, free, held, open_, used)
     frames = tuple(
-        Frame(a.name, *_light(a, pool), *_alone(a, shading, used), _why(a, bool(ok)))
+        Frame(a.name, *_light(a), *_alone(a, shading, used), _why(a, bool(ok)))
         for a, ok in zip(answers, agrees, strict=True)
     )
     count, whole = int(agrees.sum()), len(answers)
@@ -245,19 +273,10 @@ def _why(answer: _Answer, agrees: bool) -> str:
     return "says something else of the shader than the others"
 
 
-def _light(answer: _Answer, pool: Pool) -> tuple[np.ndarray, np.ndarray]:
-    """The light (2,) and its errors (2,), with the scattering what the pool says that it is: the
-    conditional of a Gaussian."""
-    whole = answer.covariance
-    told = np.diag(whole)[:SHARED] > 0
-    own = whole[SHARED:, SHARED:]
-    light = answer.at[SHARED:].copy()
-    if told.any() and np.isfinite(np.diag(pool.covariance))[told].all():
-        across = whole[SHARED:, :SHARED][:, told]
-        by = across @ np.linalg.pinv(whole[:SHARED, :SHARED][np.ix_(told, told)], hermitian=True)
-        light += by @ (pool.mean - answer.at[:SHARED])[told]
-        own = own - by @ across.T + by @ pool.covariance[np.ix_(told, told)] @ by.T
-    return light, np.sqrt(np.maximum(np.diag(own), 0))
+def _light(answer: _Answer) -> tuple[np.ndarray, np.ndarray]:
+    """The light (2,) and its errors (2,). Told again with the shader that all frames agree on it
+    would go where its covariance with that says, which is known least."""
+    return answer.at[SHARED:], np.sqrt(np.diag(answer.covariance)[SHARED:])
 
 
 def _alone(answer: _Answer, shading: AbstractModel, used: np.ndarray):
