@@ -58,6 +58,26 @@ def test_together_frames_tell_the_shader_better():
         assert (np.abs(frame.light - light) < 5 * frame.error).all()
 
 
+def test_gains_that_are_told_to_within_factors_are_pooled_as_factors():
+    """Weighed by errors that are shares of what was found the least would count most, and the mean
+    be half of what it is."""
+    logs = []
+    for seed in range(6):
+        found, _ = answers(4, 10)
+        rng = np.random.default_rng(seed)
+        for i, answer in enumerate(found):
+            at, covariance = answer.at.copy(), answer.covariance.copy()
+            at[3] *= np.exp(rng.normal(0, 0.7))
+            covariance[3] = covariance[:, 3] = 0
+            covariance[3, 3] = (0.7 * at[3]) ** 2
+            found[i] = answer._replace(at=at, covariance=covariance)
+        whole = concluded(found).combined["exposure*weight"]
+        assert 0.15 < whole.stderr / whole.value < 0.5
+        logs.append(np.log(whole.value / 0.035))
+    assert np.abs(logs).max() < 0.4
+    assert abs(np.mean(logs)) < 0.2
+
+
 def test_a_frame_that_disagrees_is_left_out_and_named():
     found, _ = answers(1, 6)
     found[2] = found[2]._replace(at=found[2].at + np.array([0, 3, -0.3, 0.5, 0.2, 0.1]))
