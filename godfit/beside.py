@@ -93,7 +93,7 @@ class Place(NamedTuple):
         known = np.isfinite(lo) & np.isfinite(hi)
         off = np.abs(np.asarray(levels) - (lo + hi) / 2)[known]
         rounded = ONCE if turns.model.background.shape[0] == 1 else TWICE
-        return len(off) > 0 and np.quantile(off, MOST) < rounded * turns.picture.half
+        return len(off) > 0 and bool(np.quantile(off, MOST) < rounded * turns.picture.half)
 
     @property
     def finished(self) -> bool:
