@@ -1,5 +1,5 @@
 """What lies beside an answer to a picture that comes with nothing: light passes of half the size,
-other lights, radii and densities, a soft edge of the disc.
+other lights, radii and densities.
 
 The cost has many dips, a texel or a tap apart, and single taps and texels make the way from one to
 the next too rough to be gone down: neighbours are tried, each with the shadows that suit it.
@@ -17,17 +17,15 @@ import numpy as np
 
 from godfit import glare
 from godfit.clear_rays import looks_alike, seen_clearly
-from godfit.disc import DENSITY, EDGE, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, SOFT
+from godfit.disc import DENSITY, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS
+from godfit.edge import PARTS, hardened
 from godfit.explained import predicted
 from godfit.observation import shrink
 from godfit.side_by_side import side_by_side
-from godfit.turns import Read, Turns
-from godfit.valley import DOUBT
+from godfit.turns import SOME, Read, Turns
 
 # Noise in levels that the copy's answer may be off by, less and less.
 NEAR = (4.0, 2.0, 1.0)
-# Turns of shadows and light before what they make is judged.
-SOME = 2
 # How far beside an answer it is looked for at first: shares of the radius, periods of the light,
 # dips of density and powers of two of what the disc adds and of the attenuation; half as far where
 # that finds nothing, but no nearer than the next dip, and from there so many dips ``FARTHER``.
@@ -56,11 +54,6 @@ FAR_WORSE, CLEARED = 2.0, 1.5
 TEXTURE = 1.0
 # What a disc is found by.
 DISC = (DENSITY, LIGHT_X, LIGHT_Y, RADIUS)
-# Widths of the disc's edge in texels: of one that is drawn without anti-aliasing, whose rim is left
-# to the shadows, and from where a soft one's is looked for.
-HARD, WIDE = 0.02, 1.0
-# Parts a side into which texels of a light pass are cut that is smaller than the picture.
-PARTS = 2
 
 
 class Place(NamedTuple):
@@ -351,19 +344,6 @@ def _first_sight(turns: Turns, read: Read) -> Read:
     return read._replace(thought=thought)
 
 
-def hardened(turns: Turns, read: Read, parts: int | None = None) -> Turns:
-    """With the disc's edge, where it is free, held as a mask (h, w) of the size of ``read``'s has
-    it without anti-aliasing, its texels cut into so many ``parts`` a side: of a light pass smaller
-    than the picture, unless that is given, as one that is scaled down."""
-    if not turns.free[EDGE]:
-        return turns
-    rows = read.mask.shape[0]
-    if parts is None:
-        parts = 1 if rows == turns.picture.size[0] else PARTS
-    cut = dataclasses.replace(turns, model=turns.model.cut_into(parts))
-    return with_edge(cut, HARD / (rows * parts))
-
-
 def _near(turns: Turns, read: Read) -> Read:
     """Solved at some noise first: where a copy's answer is a little off, rays must not pass for
     foreign."""
@@ -399,24 +379,3 @@ def _beside(turns: Turns, read: Read, index: int, dips: int, by: float) -> Read:
     if turns.total(there) > WORSE * turns.total(read):
         return there
     return turns.turn(there, turns.noise)
-
-
-def with_edge(turns: Turns, width: float | None) -> Turns:
-    """With the disc's edge held at a ``width`` in picture heights, or free."""
-    free, held = turns.free.copy(), turns.held.copy()
-    free[EDGE], held[EDGE] = width is None, np.nan if width is None else width
-    return dataclasses.replace(turns, free=free, held=held)
-
-
-def softened(turns: Turns, read: Read) -> tuple[Turns, Read]:
-    """With a soft edge of the disc where that explains more than another turn with a hard one."""
-    softer, z, rows = with_edge(turns, None), read.point.coordinates.copy(), read.mask.shape[0]
-    z[EDGE] = WIDE / rows
-    begin = softer.solved(read.at(z), turns.noise)
-    both = [(softer, begin), (turns, read)]
-    soft, hard = side_by_side(lambda each: each[0].turn(each[1], turns.noise), both)
-    hard = min(read, hard, key=turns.total)
-    wide = soft.point.coordinates[EDGE] > SOFT / rows
-    if wide and softer.total(soft) < turns.total(hard) - DOUBT:
-        return softer, softer.turned(soft, SOME)
-    return turns, hard

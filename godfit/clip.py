@@ -242,7 +242,13 @@ def _concluded(
     z = np.append(pool.mean, first.at[SHARED:])
     result = estimates(shading, z.astype(np.float32), spread, free, held, open_, used)
     frames = tuple(
-        Frame(a.name, *_light(a), *_alone(a, shading, used), _why(a, bool(ok)))
+        Frame(
+            a.name,
+            a.at[SHARED:],
+            np.sqrt(np.diag(a.covariance)[SHARED:]),
+            *_alone(a, shading, used),
+            _why(a, bool(ok)),
+        )
         for a, ok in zip(answers, agrees, strict=True)
     )
     count, whole = int(agrees.sum()), len(answers)
@@ -271,12 +277,6 @@ def _why(answer: _Answer, agrees: bool) -> str:
     if answer.message or agrees:
         return answer.message
     return "says something else of the shader than the others"
-
-
-def _light(answer: _Answer) -> tuple[np.ndarray, np.ndarray]:
-    """The light (2,) and its errors (2,). Told again with the shader that all frames agree on it
-    would go where its covariance with that says, which is known least."""
-    return answer.at[SHARED:], np.sqrt(np.diag(answer.covariance)[SHARED:])
 
 
 def _alone(answer: _Answer, shading: AbstractModel, used: np.ndarray):

@@ -18,6 +18,8 @@ from godfit.solver import Point, linearise, solve
 # Solves of one noise, most, their steps, the relative changes that end them, and the share of the
 # cost that is worth another turn: the shadows are about to change anyway.
 MAX_SOLVES, STEPS, RTOL, WORTH = 12, 6, 1e-3, 0.02
+# Turns of shadows and light before what they make is judged.
+SOME = 2
 # Pixels that shadows are read from: others than those that are seen, many where few are seen.
 ROWS = 16_384
 # Surprisal may rise by so much on the tangent, which a solve follows.

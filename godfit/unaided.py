@@ -15,8 +15,9 @@ import numpy as np
 from scipy import ndimage
 
 from godfit import inputs, screenshot
-from godfit.beside import NEAR, SOME, best_around, hardened, softened, solved
+from godfit.beside import NEAR, best_around, solved
 from godfit.disc import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL, DiscLight
+from godfit.edge import hardened, softened
 from godfit.errors import InputError
 from godfit.explained import grain, predicted
 from godfit.image import Image
@@ -26,7 +27,7 @@ from godfit.observation import Observation, Picture
 from godfit.settling import Settled, Tangent, settle
 from godfit.side_by_side import side_by_side
 from godfit.solver import Point, solve_tangent
-from godfit.turns import Read, Turns
+from godfit.turns import SOME, Read, Turns
 from godfit.verdict import Found
 
 # Of what varies in a picture, the share that light must explain to be called rays. Photographs,

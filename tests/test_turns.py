@@ -9,6 +9,7 @@ from scipy import sparse
 from scipy.optimize import minimize
 
 from godfit import beside, glare
+from godfit import edge as edges
 from godfit import lasso as lasso_module
 from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
 from godfit.explained import predicted
@@ -199,7 +200,7 @@ def begun(turns, picture, z):
     """``turns`` with the edge of a disc that is drawn without anti-aliasing, and where they are
     after a first descent from ``z``."""
     held = turns.held.copy()
-    held[EDGE] = beside.HARD / SIZE[0]
+    held[EDGE] = edges.HARD / SIZE[0]
     turns = dataclasses.replace(turns, held=held)
     seen = picture.observe(picture.informative(4000, 0))
     read = Read.of(Point(z, np.inf, False, 0), picture.mask, seen)
@@ -211,7 +212,7 @@ def begun(turns, picture, z):
 def test_a_soft_edge_is_read_where_there_is_one(edge):
     picture, truth, turns = lit(edge, bar=False)
     turns, read = begun(turns, picture, truth)
-    softer, there = beside.softened(turns, read)
+    softer, there = edges.softened(turns, read)
     if edge > 1e-3:
         assert there.point.coordinates[EDGE] == pytest.approx(edge, rel=0.1)
         assert softer.total(there) < 0.5 * turns.total(read)

@@ -1,0 +1,53 @@
+"""The edge of the disc: as hard as it is drawn without anti-aliasing, or soft where that explains
+more."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from godfit.disc import EDGE, SOFT
+from godfit.side_by_side import side_by_side
+from godfit.turns import SOME, Read, Turns
+from godfit.valley import DOUBT
+
+# Widths of the disc's edge in texels: of one that is drawn without anti-aliasing, whose rim is left
+# to the shadows, and from where a soft one's is looked for.
+HARD, WIDE = 0.02, 1.0
+# Parts a side into which texels of a light pass are cut that is smaller than the picture.
+PARTS = 2
+
+
+def hardened(turns: Turns, read: Read, parts: int | None = None) -> Turns:
+    """With the disc's edge, where it is free, held as a mask (h, w) of the size of ``read``'s has
+    it without anti-aliasing, its texels cut into so many ``parts`` a side: of a light pass smaller
+    than the picture, unless that is given, as one that is scaled down."""
+    if not turns.free[EDGE]:
+        return turns
+    rows = read.mask.shape[0]
+    if parts is None:
+        parts = 1 if rows == turns.picture.size[0] else PARTS
+    cut = dataclasses.replace(turns, model=turns.model.cut_into(parts))
+    return with_edge(cut, HARD / (rows * parts))
+
+
+def with_edge(turns: Turns, width: float | None) -> Turns:
+    """With the disc's edge held at a ``width`` in picture heights, or free."""
+    free, held = turns.free.copy(), turns.held.copy()
+    free[EDGE], held[EDGE] = width is None, np.nan if width is None else width
+    return dataclasses.replace(turns, free=free, held=held)
+
+
+def softened(turns: Turns, read: Read) -> tuple[Turns, Read]:
+    """With a soft edge of the disc where that explains more than another turn with a hard one."""
+    softer, z, rows = with_edge(turns, None), read.point.coordinates.copy(), read.mask.shape[0]
+    z[EDGE] = WIDE / rows
+    begin = softer.solved(read.at(z), turns.noise)
+    both = [(softer, begin), (turns, read)]
+    soft, hard = side_by_side(lambda each: each[0].turn(each[1], turns.noise), both)
+    hard = min(read, hard, key=turns.total)
+    wide = soft.point.coordinates[EDGE] > SOFT / rows
+    if wide and softer.total(soft) < turns.total(hard) - DOUBT:
+        return softer, softer.turned(soft, SOME)
+    return turns, hard
