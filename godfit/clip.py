@@ -14,15 +14,17 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
+import equinox as eqx
 import jax
 import numpy as np
 
 from godfit import inputs, unaided
+from godfit.disc import DiscLight
 from godfit.errors import InputError
 from godfit.estimates import estimates
 from godfit.image import Image
 from godfit.inputs import Source
-from godfit.models import FAINTEST, AbstractModel
+from godfit.models import FAINTEST, AbstractModel, Vector
 from godfit.observation import shrink
 from godfit.parameters import SCATTERING
 from godfit.pooling import Pool, pooled
@@ -170,11 +172,23 @@ def _small(image: Image) -> np.ndarray:
 
 
 def _answer(name: str, found: Found) -> _Answer:
-    count = SHARED + 2
-    model, at = found.model, found.settled.coordinates
-    at = np.asarray(model.moved(at, np.asarray(found.held, np.float32)).coordinates(), np.float64)
-    covariance = spread(found).covariance[:count, :count]
-    return _Answer(name, at[:count], covariance, found.opened, found.objection)
+    assert isinstance(found.model, DiscLight)
+    z, held = found.settled.coordinates, np.asarray(found.held, np.float32)
+    at, slopes = (np.asarray(a, np.float64) for a in _of_the_shader(found.model, z, held))
+    open_ = [(index, [i for i in others if i < len(at)]) for index, others in found.opened]
+    covariance = slopes @ spread(found).covariance @ slopes.T
+    return _Answer(name, at, covariance, open_, found.objection)
+
+
+@eqx.filter_jit
+def _of_the_shader(model: DiscLight, coordinates: Vector, held: Vector):
+    """Coordinates (6,) of scattering and light and their derivatives (6, p) by those of a picture,
+    whose gain is without the veil's share."""
+
+    def shading(z):
+        return model.moved(z, held).shading.coordinates()
+
+    return shading(coordinates), jax.jacfwd(shading)(coordinates)
 
 
 def _shared(at: np.ndarray) -> np.ndarray:
@@ -201,6 +215,7 @@ def _information(answer: _Answer) -> np.ndarray:
     block, slopes = answer.covariance[:SHARED, :SHARED], _slopes(answer.at)
     variance = np.diag(slopes @ block @ slopes.T)
     told = (np.diag(block) > 0) & (not answer.message)
+    told[[index for index, _ in answer.open_]] = False
     return np.diag(np.where(told, 1 / np.where(told, variance, 1.0), 0.0))
 
 

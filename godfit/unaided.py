@@ -15,7 +15,7 @@ import numpy as np
 from scipy import ndimage
 
 from godfit import inputs, screenshot
-from godfit.beside import NEAR, best_around, solved
+from godfit.beside import NEAR, TEXTURE, best_around, solved
 from godfit.disc import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL, DiscLight
 from godfit.edge import hardened, softened
 from godfit.errors import InputError
@@ -24,6 +24,7 @@ from godfit.image import Image
 from godfit.inference import evidence
 from godfit.models import Mitchell
 from godfit.observation import Observation, Picture
+from godfit.pass_size import HALF, pass_scale_of
 from godfit.settling import Settled, Tangent, settle
 from godfit.side_by_side import side_by_side
 from godfit.solver import Point, solve_tangent
@@ -43,8 +44,6 @@ TURNS = 6
 FINER = 3
 # A disc is in sight where it is brighter than the veil by this.
 SEEN = 1.1
-# The size of a light pass that is tried beside the picture's own.
-HALF = 0.5
 # Pixels without which nothing can be told.
 LEAST = 500
 NO_RAYS = (
@@ -120,7 +119,8 @@ def found_in(
     first = screenshot.enlarged(best.mask, looked.copy.mask, picture.mask)
     rounds = ROUNDS if rays else 1
     if rays:
-        turns, read, doubts = _searched(turns, looked, pass_scale, seed, say)
+        sizes = _sizes(picture, turns.texture) if pass_scale is None else [pass_scale]
+        turns, read, doubts = _searched(turns, looked, sizes, seed, say)
         if pass_scale is None and read.mask.shape != picture.mask.shape:
             pass_scale = HALF
             notes += (COARSE,)
@@ -185,33 +185,42 @@ def _objection(looked: screenshot.Look, held: np.ndarray, picture: Picture) -> s
     return ""
 
 
+def _sizes(picture: Picture, texture: float) -> list[float]:
+    """What the light pass's size may be against the picture's: texture, in levels, hides it."""
+    told = pass_scale_of(picture) if texture < TEXTURE else None
+    return [1.0, HALF] if told is None else [told]
+
+
 def _searched(
     turns: Turns,
     looked: screenshot.Look,
-    pass_scale: float | None,
+    sizes: list[float],
     seed: int,
     say: Callable[[str], None],
 ) -> tuple[Turns, Read, list[np.ndarray]]:
-    """The best of where the search ended and of what lies beside it, by a few of the pixels, and
-    changes (p,) that it may be off by. What lies beside it is looked for on the copy, a light pass
-    of half the size on the picture itself."""
+    """The best of where the search ended and of what lies beside it, by a few of the pixels, with a
+    light pass of one of these ``sizes``, and changes (p,) that it may be off by. What lies beside
+    it is looked for on the copy, the size on the picture itself."""
     picture, copy = turns.picture, looked.copy
     small = dataclasses.replace(turns, picture=copy, texture=grain(copy))
     few = copy.observe(copy.informative(screenshot.MORE, seed + 2))
     whole = copy.size == picture.size
-    scale = pass_scale and min(1.0, pass_scale * picture.size[0] / copy.size[0])
+    # No light pass is larger than what is seen of it.
+    larger = picture.size[0] / copy.size[0]
+    scales = sizes if whole else [min(1.0, larger * max(sizes))]
 
-    def begin(end: screenshot.End, mask: np.ndarray, scale: float | None) -> Read:
+    def begun(end: screenshot.End) -> list[Read]:
         at = Point(end.coordinates, np.inf, False, 0)
-        return Read.of(at, inputs.shrink_mask(mask, scale or 1.0), few)
+        # On a copy of half the size shadows were those of such a pass.
+        masks = {scale: [end.mask, end.coarse] if scale == HALF else [end.mask] for scale in scales}
+        return [
+            Read.of(at, inputs.shrink_mask(mask, scale), few)
+            for scale in scales
+            for mask in masks[scale]
+        ]
 
     say("lights, densities and radii beside these")
-    begun = [[begin(end, end.mask, scale)] for end in looked.ends]
-    if whole and pass_scale is None:
-        for reads, end in zip(begun, looked.ends, strict=True):
-            # On a copy of that size shadows were those of such a pass.
-            reads += [begin(end, mask, HALF) for mask in (end.mask, end.coarse)]
-    small, read, doubts = best_around(small, begun, whole)
+    small, read, doubts = best_around(small, [begun(end) for end in looked.ends], whole)
     if whole:
         return small, read, doubts
     say("shadows of the whole picture")
@@ -219,11 +228,8 @@ def _searched(
     mask = screenshot.enlarged(read.mask, read.thought, np.asarray(picture.mask))
     # What it left on the copy says nothing of what it leaves here.
     there = read.point._replace(cost=np.inf)
-    own, half = (
-        Read.of(there, inputs.shrink_mask(mask, scale), few) for scale in (pass_scale or 1.0, HALF)
-    )
-    sizes = [own, half] if pass_scale is None else [own]
-    place = min(side_by_side(functools.partial(solved, turns), sizes), key=lambda p: p.left)
+    reads = [Read.of(there, inputs.shrink_mask(mask, scale), few) for scale in sizes]
+    place = min(side_by_side(functools.partial(solved, turns), reads), key=lambda p: p.left)
     return place.turns, place.read, doubts
 
 
@@ -299,7 +305,7 @@ def _out_of_sight(model: DiscLight, z: np.ndarray, held: np.ndarray, picture: Pi
 
 
 def _hidden(model: DiscLight, z: np.ndarray, held: np.ndarray, picture: Picture) -> bool:
-    """Whether less than a tenth of the light's outline lies where it can be read."""
+    """Whether less than a tenth of the light's outline lies where it can be read in some channel."""
     at = model.moved(z, held)
     h, w = picture.size
     (u, v), radius = np.asarray(at.light[0]), float(at.shape[0])
@@ -307,5 +313,5 @@ def _hidden(model: DiscLight, z: np.ndarray, held: np.ndarray, picture: Picture)
     column = np.floor(u * w + radius * h * np.cos(turn)).astype(int)
     row = np.floor((1 - v) * h - radius * h * np.sin(turn)).astype(int)
     inside = (column >= 0) & (column < w) & (row >= 0) & (row < h)
-    known = ndimage.binary_erosion(picture.valid & ~picture.clipped)
+    known = ndimage.binary_erosion(picture.readable)
     return bool(np.count_nonzero(known[row[inside], column[inside]]) < 25)
