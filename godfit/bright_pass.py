@@ -42,6 +42,8 @@ class BrightPass(DiscLight):
         Parameter("dark", "c", "1", 0.0, 1.0, "what the mask is where the picture is dark"),
     )
 
+    compact: ClassVar[bool] = False
+
     least: Float[Array, ""]
 
     def __init__(self, shading, shape, background, least=0.0):

@@ -23,6 +23,7 @@ from godfit.radial.geometric import is_zero
 from godfit.taps import Convention, Taps
 from godfit.tinted import TINT
 from godfit.upsample import Texels, at_pixels
+from godfit.window import Window
 
 SHAPE = (
     Parameter("radius", "R", "of the height", 0.0, np.inf, "of the light's disc"),
@@ -37,6 +38,8 @@ CHANNELS = "rgb"
 DARK = 0.01
 # Texels that a disc's edge is wide, least, in derivatives: a harder one steps from texel to texel.
 SOFT = 0.3
+# Widths of its edge, least, at which nothing is left of a disc: less than a hundredth of a level.
+TAIL = 12.0
 # Texels from the middle of one that is cut by a disc's edge to that edge, most.
 RIM = 1.0
 # Powers of x and y, each from -1 to 1 over the picture, in order of degree.
@@ -79,6 +82,8 @@ class DiscLight(AbstractModel):
     channels: ClassVar[int] = 1
     # Of ``shape``.
     rows: ClassVar[tuple[Parameter, ...]] = SHAPE
+    # Whether what ``shape`` changes in the mask lies about the light.
+    compact: ClassVar[bool] = True
 
     shading: Mitchell
     shape: Float[Array, " 3"]
@@ -204,19 +209,29 @@ class DiscLight(AbstractModel):
     def occlusion(self, open_: Float[Array, "h w"], least: float = 0.0) -> Float[Array, "h w"]:
         """The mask that the light pass reads, with the disc's edge at ``least`` so wide, in
         texels. What is more than open, at the disc's rim, is as bright as the disc at most."""
-        radius, edge, veil = self.shape
+        return self._occluded(open_, (0, 0), open_.shape, least)
+
+    def _occluded(self, open_, corner, size, least=0.0):
+        """``occlusion`` of the part of a mask of ``size`` from ``corner`` on, (row, column)."""
+        _, edge, veil = self.shape
         (h, w), cut = open_.shape, self.cut
-        away = self.away((h * cut, w * cut)).reshape(h, cut, w, cut)
-        disc = jax.nn.sigmoid((radius - away) / jnp.maximum(edge, least / h)).mean((1, 3))
+        wide = jnp.maximum(edge, least / size[0])
+        corner, size = [n * cut for n in corner], (size[0] * cut, size[1] * cut)
+        away = self._from_light((h * cut, w * cut), corner, size)[2].reshape(h, cut, w, cut)
+        disc = jax.nn.sigmoid((self.shape[0] - away) / wide).mean((1, 3))
         return jnp.minimum(open_ * (veil + (1 - veil) * disc), 1.0)
 
     def occlusion_slopes(self, open_: Float[Array, "h w"], least: float) -> Float[Array, "h w 5"]:
         """Derivatives of ``occlusion`` by the light's place and ``shape``, of texels that are not
         cut: what parts of one do apart, an edge at ``least`` so wide does together. In closed form:
         of a whole picture dual numbers of every part cost twenty times the sum over taps."""
+        return self._slopes(open_, (0, 0), open_.shape, least)
+
+    def _slopes(self, open_, corner, size, least):
+        """``occlusion_slopes`` of a part, as in ``_occluded``."""
         radius, edge, veil = self.shape
-        (h, w), wide = open_.shape, jnp.maximum(edge, least / open_.shape[0])
-        x, y, away = self._from_light((h, w))
+        (h, w), wide = size, jnp.maximum(edge, least / size[0])
+        x, y, away = self._from_light(open_.shape, corner, size)
         disc = jax.nn.sigmoid((radius - away) / wide)
         lit = open_ * (veil + (1 - veil) * disc)
         by_radius = open_ * (1 - veil) * disc * (1 - disc) / wide
@@ -229,14 +244,15 @@ class DiscLight(AbstractModel):
 
     def away(self, size: tuple[int, int]) -> Float[Array, "h w"]:
         """How far from the light texels are, in picture heights."""
-        return self._from_light(size)[2]
+        return self._from_light(size, (0, 0), size)[2]
 
-    def _from_light(self, size: tuple[int, int]):
+    def _from_light(self, part, corner, size):
         """How far to the right and above (1, w), (h, 1) and how far (h, w) from the light texels
-        are, in picture heights."""
+        are, in picture heights, of a ``part`` of a mask of ``size`` from ``corner`` on."""
         h, w = size
-        x = (jnp.arange(w, dtype=self.shape.dtype) + 0.5) / w - self.light[0, 0]
-        y = 1 - (jnp.arange(h, dtype=self.shape.dtype) + 0.5) / h - self.light[0, 1]
+        rows, columns = (jnp.arange(n, dtype=self.shape.dtype) for n in part)
+        x = (columns + corner[1] + 0.5) / w - self.light[0, 0]
+        y = 1 - (rows + corner[0] + 0.5) / h - self.light[0, 1]
         x, y = (x * w / h)[None], y[:, None]
         return x, y, jnp.sqrt(x**2 + y**2 + 1e-12)
 
@@ -268,46 +284,104 @@ class DiscLight(AbstractModel):
 
         Derivatives by any number of directions cost one by the nine numbers that it depends on: the
         background's coefficients, many, do not change it. It is linear in the mask, so that what
-        these numbers change there is summed as if it were channels, most of which are flat.
+        these numbers change there is summed as if it were channels.
         """
 
         @jax.custom_jvp
         def value(numbers, open_, at):
             here = self._with(numbers)
-            return here.shading.light_pass(here.occlusion(open_), at, method)
+            return here._summed(open_, at, method, False)[0]
 
         @functools.partial(value.defjvp, symbolic_zeros=True)
         def _(primals, tangents):
             (numbers, open_, at), (along, *others) = primals, tangents
             if not all(map(is_zero, jax.tree.leaves(others))):
                 raise ValueError("a disc's light pass is differentiable in its own numbers alone")
-            here = self._with(numbers)
-
-            def under_it(first):
-                shading = self._with(jnp.concatenate([first, numbers[6:]])).shading
-                return shading.light_pass(still, at, method)
-
-            still = here.occlusion(open_)
-            changes = here.occlusion_slopes(open_, SOFT)
-            out, by_first = _jacobian(under_it, numbers[:6])
-            by_rest = here.shading.light_pass(changes, at, method)
+            out, by_first, by_rest = self._with(numbers)._summed(open_, at, method, True)
             d_out = jnp.tensordot(along[:6], by_first, 1)
             return out, d_out + by_rest @ along[4:]
 
-        return value(jnp.stack([*self.shading.values().values(), *self.shape]), open_, at)
+        return value(self._numbers, open_, at)
+
+    def _summed(self, open_, at, method, slopes) -> tuple[Array, ...]:
+        """The sum, and with ``slopes`` its derivatives by scattering and light, the mask left as it
+        is, (6, ...), and by what changes in the mask (..., 5)."""
+        if at is None or not self.compact:
+            return self._of_the_whole(open_, at, method, slopes)
+        reach = self.shape[0] * open_.shape[0]
+        reach += TAIL * jnp.maximum(self.shape[1] * open_.shape[0], SOFT)
+
+        def in_a_window(numbers, open_, at):
+            return self._with(numbers)._in_a_window(open_, at, method, slopes)
+
+        def of_the_whole(numbers, open_, at):
+            return self._with(numbers)._of_the_whole(open_, at, method, slopes)
+
+        # Not of the background, which is none of a light pass's business.
+        held = Window.holds(reach, open_.shape)
+        return jax.lax.cond(held, in_a_window, of_the_whole, self._numbers, open_, at)
+
+    def _of_the_whole(self, open_, at, method, slopes):
+        """See ``_summed``."""
+        still = self.occlusion(open_)
+
+        def under_it(first):
+            return self._lit_by(first).light_pass(still, at, method)
+
+        if not slopes:
+            return (self.shading.light_pass(still, at, method),)
+        out, by_first = _jacobian(under_it, self._numbers[:6])
+        by_rest = self.shading.light_pass(self.occlusion_slopes(open_, SOFT), at, method)
+        return out, by_first, by_rest
+
+    def _in_a_window(self, open_, at, method, slopes):
+        """See ``_summed``: what is open is as bright as the veil, and around the light by so much
+        brighter."""
+        size, veil = open_.shape, self.shape[2]
+        window = Window.about(self.light[0], size)
+        part, there = window.cut(open_), window.at(at)
+        brighter = self._occluded(part, window.corner, size) - veil * part
+        brighter = window.dark_around(brighter)
+
+        def under_it(first):
+            shading = self._lit_by(first)
+            near = eqx.tree_at(lambda m: m.light, shading, window.light(shading.light))
+            disc = near.light_pass(brighter, there, method)
+            return shading.light_pass(open_, at, method), disc
+
+        first = self._numbers[:6]
+        if not slopes:
+            all_, disc = under_it(first)
+            return (veil * all_ + disc,)
+        (all_, disc), (by_all, by_disc) = _jacobian(under_it, first)
+        changes = self._slopes(part, window.corner, size, SOFT)
+        changes = window.dark_around(changes.at[..., 4].add(-part))
+        near = eqx.tree_at(lambda m: m.light, self.shading, window.light(self.light))
+        by_rest = near.light_pass(changes, there, method)
+        by_rest = by_rest.at[..., 4].add(all_)
+        return veil * all_ + disc, veil * by_all + by_disc, by_rest
 
     def cut_into(self, parts: int) -> DiscLight:
         """The same with texels ``cut`` otherwise."""
         return DiscLight(self.shading, self.shape, self.background, self.tint, parts)
 
+    @property
+    def _numbers(self) -> Float[Array, " 9"]:
+        """Scattering, light and shape: all that the light pass depends on."""
+        return jnp.stack([*self.shading.values().values(), *self.shape])
+
     def _with(self, numbers: Float[Array, " 9"]) -> DiscLight:
         """The same with scattering, light and shape from ``numbers``."""
-        shading = eqx.tree_at(
+        shading = self._lit_by(numbers[:6])
+        return eqx.tree_at(lambda m: (m.shading, m.shape), self, (shading, numbers[6:]))
+
+    def _lit_by(self, numbers: Float[Array, " 6"]) -> Mitchell:
+        """Scattering and light from ``numbers``."""
+        return eqx.tree_at(
             lambda m: (m.exposure, m.decay, m.density, m.weight, m.light),
             self.shading,
-            (*numbers[:4], numbers[4:6].reshape(1, 2)),
+            (*numbers[:4], numbers[4:].reshape(1, 2)),
         )
-        return eqx.tree_at(lambda m: (m.shading, m.shape), self, (shading, numbers[6:]))
 
     def composite(self, light, size: tuple[int, int], pixels=None):
         """The light pass on the background: (h, w, c) or (n, c), without c where it is 1."""

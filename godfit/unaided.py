@@ -305,7 +305,7 @@ def _out_of_sight(model: DiscLight, z: np.ndarray, held: np.ndarray, picture: Pi
 
 
 def _hidden(model: DiscLight, z: np.ndarray, held: np.ndarray, picture: Picture) -> bool:
-    """Whether less than a tenth of the light's outline lies where it can be read in some channel."""
+    """Whether less than a tenth of the light's outline lies where some channel can be read."""
     at = model.moved(z, held)
     h, w = picture.size
     (u, v), radius = np.asarray(at.light[0]), float(at.shape[0])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from godfit import clip, clip_report
+from godfit.disc import GAIN, VEIL, DiscLight
 from godfit.image import read_image
 from godfit.models import Mitchell
 
@@ -76,6 +77,34 @@ def test_gains_that_are_told_to_within_factors_are_pooled_as_factors():
         logs.append(np.log(whole.value / 0.035))
     assert np.abs(logs).max() < 0.4
     assert abs(np.mean(logs)) < 0.2
+
+
+@pytest.mark.parametrize("held", [None, 0.1], ids=["free", "held"])
+def test_the_gain_is_the_shaders_and_not_what_its_disc_adds(held):
+    """Which is less by the veil's share; what is known of both is counted in."""
+    with jax.enable_x64(False):
+        model = DiscLight(truly(), [0.1, 0.003, 0.1], np.zeros((1, 3)))
+        z = np.asarray(model.coordinates(), np.float32)
+        still = np.full(len(z), np.nan, np.float32)
+        if held is not None:
+            still[VEIL] = held
+        at, slopes = clip._of_the_shader(model, z, still)
+    np.testing.assert_allclose(at, truly().coordinates(), rtol=1e-5)
+    expected = np.eye(6, len(z))
+    expected[GAIN, GAIN] = 1.0 if held is None else 1 / (1 - held)
+    expected[GAIN, VEIL] = held is None
+    np.testing.assert_allclose(slopes, expected, atol=1e-4)
+
+
+def test_what_a_frame_leaves_open_it_does_not_tell():
+    found, _ = answers(5, 4)
+    sure = found[0].covariance.copy()
+    sure[GAIN, GAIN] = 1e-8
+    wrong = found[0].at.copy()
+    wrong[GAIN] *= 3
+    found[0] = found[0]._replace(at=wrong, covariance=sure, open_=[(0, [3]), (GAIN, [])])
+    whole = concluded(found).combined["exposure*weight"]
+    assert whole.value == pytest.approx(0.035, rel=0.05)
 
 
 def test_a_frame_that_disagrees_is_left_out_and_named():
