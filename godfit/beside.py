@@ -17,9 +17,10 @@ import numpy as np
 
 from godfit import glare
 from godfit.clear_rays import looks_alike, seen_clearly
-from godfit.disc import DENSITY, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS
+from godfit.disc import DENSITY, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, VEIL
 from godfit.edge import PARTS, hardened
 from godfit.explained import predicted
+from godfit.models import FAINTEST
 from godfit.observation import shrink
 from godfit.side_by_side import side_by_side
 from godfit.turns import SOME, Read, Turns
@@ -52,8 +53,10 @@ WORSE, ALIKE = 1.25, 1.05
 FAR_WORSE, CLEARED = 2.0, 1.5
 # Texture, in levels, next to which no disc is told to a part of a texel.
 TEXTURE = 1.0
-# What a disc is found by.
-DISC = (DENSITY, LIGHT_X, LIGHT_Y, RADIUS)
+# What a disc is found by, and what frames of a clip share.
+DISC, SHARED = (DENSITY, LIGHT_X, LIGHT_Y, RADIUS), (KAPPA, DENSITY, GAIN)
+# Times that a radius shrinks or grows, most, where the gain does not suit it.
+TIMES_AS_LARGE = 3.0
 
 
 class Place(NamedTuple):
@@ -108,7 +111,7 @@ class Place(NamedTuple):
 
 
 def best_around(
-    turns: Turns, begun: list[list[Read]], whole: bool
+    turns: Turns, begun: list[list[Read]], whole: bool, like: np.ndarray | None = None
 ) -> tuple[Turns, Read, list[np.ndarray]]:
     """The best of what lies around these beginnings, each of which may be of light passes of
     several sizes, and changes (p,) that it may be off by: a mask that explains more takes the light
@@ -125,8 +128,11 @@ def best_around(
     each = iter(sizes)
     likely = [min((next(each) for _ in reads), key=_left) for reads in begun]
     places = side_by_side(afresh, likely)
+    if like is not None:
+        places += side_by_side(functools.partial(_likened, like=like), sizes)
+    known = like is not None and min(places, key=_left).explained
     # On a copy no disc is as it was drawn, and texture hides how it was.
-    if whole and turns.texture < TEXTURE:
+    if whole and turns.texture < TEXTURE and not known:
         limit = CLEARED * min(place.left for place in sizes)
         near = zip(itertools.chain(*begun), sizes, strict=True)
         asked = [read for read, place in near if place.left < limit]
@@ -223,9 +229,26 @@ def _cleared(
     return places
 
 
-def _suited(turns: Turns, read: Read, coordinates: np.ndarray) -> Place:
-    """A disc found elsewise (p,), held until the rest suits it."""
-    held = _holding(turns, *DISC)
+def _likened(place: Place, like: np.ndarray) -> Place:
+    """With scattering ``like`` that of other frames (4,), held until the rest suits it."""
+    turns, z = place.turns, place.read.point.coordinates.copy()
+    free = turns.free[list(SHARED)]
+    gain, veiled = z[GAIN] + z[VEIL], z[VEIL] / max(z[GAIN] + z[VEIL], FAINTEST)
+    kappa, density, shared = np.where(np.isnan(like[1:]), (z[KAPPA], z[DENSITY], gain), like[1:])
+    there = kappa, density, shared * (1 - veiled)
+    z[list(SHARED)] = np.where(free, there, z[list(SHARED)])
+    if free[-1]:
+        z[VEIL] = shared * veiled
+        # A ray adds as much where it leads across less of a brighter disc.
+        z[RADIUS] *= np.clip(gain / max(shared, FAINTEST), 1 / TIMES_AS_LARGE, TIMES_AS_LARGE)
+    return _suited(turns, place.read, z, SHARED)
+
+
+def _suited(
+    turns: Turns, read: Read, coordinates: np.ndarray, which: tuple[int, ...] = DISC
+) -> Place:
+    """A disc found elsewise (p,), ``which`` is held until the rest suits it."""
+    held = _holding(turns, *which)
     found = held.solved(_first_sight(turns, read).unshadowed().at(coordinates), NEAR[0])
     found = turns.turned(_nearer(held, found), SOME)
     return _place(turns, found, dict.fromkeys(BESIDE, CLOSE))

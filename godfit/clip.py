@@ -1,9 +1,10 @@
 """Several frames of one clip: the shader's parameters are the same in all, light and occluders are
 each frame's own.
 
-Frames are taken one after another and fitted alone, as pictures that come with nothing; of each
-only its answer and covariance are kept, so that memory does not grow with their number. What they
-say of the shader is pooled number by number, see ``pooling.py``.
+Frames are taken one after another and fitted alone, as pictures that come with nothing, each looked
+for near the shader that those before it have, too; of each only its answer and covariance are kept,
+so that memory does not grow with their number. What they say of the shader is pooled number by
+number, see ``pooling.py``.
 """
 
 from __future__ import annotations
@@ -140,7 +141,7 @@ def fit_clip(
             _check_size(name, image, valid)
             found, said = unaided.found_in(
                 image, shading, valid, None, pass_scale, fix, start, seed,
-                lambda text, at=count: say(f"frame {at}: {text}"),
+                lambda text, at=count: say(f"frame {at}: {text}"), _so_far(answers),
             )  # fmt: skip
             notes += [f"{name}: {note}" for note in (*image.notes, *said)]
             warnings += found.remarks
@@ -232,6 +233,15 @@ def _pooled(answers: list[_Answer]) -> Pool:
     covariance = np.where(told[:, None] & told, back @ known @ back.T, 0.0)
     covariance[~told, ~told] = np.inf
     return pool._replace(mean=mean, covariance=covariance)
+
+
+def _so_far(answers: list[_Answer]) -> np.ndarray | None:
+    """(4,) coordinates of the scattering that the frames read so far tell, NaN where none does:
+    where the next may look for its own. What it then finds there is told by itself alone."""
+    if not answers:
+        return None
+    pool = _pooled(answers)
+    return np.where(np.isfinite(np.diag(pool.covariance)), pool.mean, np.nan)
 
 
 def _concluded(

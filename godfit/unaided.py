@@ -72,10 +72,12 @@ def found_in(
     start: Mapping[str, float],
     seed: int,
     say: Callable[[str], None],
+    like: np.ndarray | None = None,
 ) -> tuple[Found, tuple[str, ...]]:
     """What was found, and notes. ``valid`` and ``occluder`` are (h, w): where to look, and where
     something is known to stand in the way; ``pass_scale`` is asked of the picture where it is not
-    given. Raises InputError for what cannot be read so."""
+    given; ``like`` (4,) are coordinates of the scattering that other frames of a clip have, NaN
+    where none tells. Raises InputError for what cannot be read so."""
     if shading.convention.box:
         raise InputError(
             f"mask: expected one with the shader '{shading.shader}', got none; give --mask"
@@ -109,7 +111,10 @@ def found_in(
     hidden = _hidden(model, best.coordinates, held, picture)
     if free[0] and free[3] and (hidden or not model.convention.own_pixel):
         # Only the disc itself would tell a pixel's own value, if it is shown, from its rays.
-        held[0] = given.get("exposure", model.shading.defaults.get("exposure", FAINT))
+        default = model.shading.defaults.get("exposure", FAINT)
+        if like is not None and np.isfinite(like[0]):
+            default = like[0]
+        held[0] = given.get("exposure", default)
         free[0] = False
         opened.append((0, [3]))
     turns = Turns(model, picture, reading.unknown, grain(picture), free, held, seed)
@@ -120,7 +125,7 @@ def found_in(
     rounds = ROUNDS if rays else 1
     if rays:
         sizes = _sizes(picture, turns.texture) if pass_scale is None else [pass_scale]
-        turns, read, doubts = _searched(turns, looked, sizes, seed, say)
+        turns, read, doubts = _searched(turns, looked, sizes, seed, say, like)
         if pass_scale is None and read.mask.shape != picture.mask.shape:
             pass_scale = HALF
             notes += (COARSE,)
@@ -197,6 +202,7 @@ def _searched(
     sizes: list[float],
     seed: int,
     say: Callable[[str], None],
+    like: np.ndarray | None,
 ) -> tuple[Turns, Read, list[np.ndarray]]:
     """The best of where the search ended and of what lies beside it, by a few of the pixels, with a
     light pass of one of these ``sizes``, and changes (p,) that it may be off by. What lies beside
@@ -220,7 +226,7 @@ def _searched(
         ]
 
     say("lights, densities and radii beside these")
-    small, read, doubts = best_around(small, [begun(end) for end in looked.ends], whole)
+    small, read, doubts = best_around(small, [begun(end) for end in looked.ends], whole, like)
     if whole:
         return small, read, doubts
     say("shadows of the whole picture")

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from godfit import beside, glare
 from godfit import edge as edges
 from godfit import lasso as lasso_module
-from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
+from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, VEIL, DiscLight
 from godfit.explained import predicted
 from godfit.lasso import Along, lasso
 from godfit.models import Mitchell
@@ -272,6 +272,34 @@ def test_the_middle_of_glare_is_held_until_its_shadows_suit_it(monkeypatch):
     turns = dataclasses.replace(turns, free=still.free)
     _, read, _ = beside.best_around(turns, [[stuck]], whole=True)
     assert read.point.coordinates[LIGHT_X] == z[LIGHT_X]
+
+
+@pytest.mark.usefixtures("single_precision")
+def test_what_other_frames_tell_is_held_until_the_rest_suits_it(monkeypatch):
+    """From a disc half as large again and as much less bright, whose density is another; where
+    others are wrong what explains more stays."""
+    monkeypatch.setattr(beside, "seen_clearly", lambda *_: [])
+    monkeypatch.setattr(glare, "circles", lambda *_: np.zeros((0, 3)))
+    monkeypatch.setattr(beside, "BESIDE", {})
+    picture, truth, turns = lit(1e-5, bar=True)
+    z = truth.copy()
+    z[[RADIUS, GAIN, DENSITY]] *= 1.5, 1 / 1.5, 0.9
+    still = dataclasses.replace(turns, free=turns.free & (np.arange(len(z)) != RADIUS))
+    still, stuck = begun(still, picture, z)
+    stuck = still.turned(stuck, 2)
+    turns = dataclasses.replace(turns, held=still.held, free=turns.free & still.free)
+    turns.free[RADIUS] = True
+    shared = np.array(truth[:4])
+    shared[0], shared[GAIN] = np.nan, truth[GAIN] + truth[VEIL]
+    (alone, _), (right, off), (wrong, _) = (
+        (turns.total(read), np.abs(read.point.coordinates - truth))
+        for like in (None, shared, shared * [1, 3, 0.7, 3])
+        for _, read, _ in [beside.best_around(turns, [[stuck]], whole=True, like=like)]
+    )
+    assert right < 0.5 * alone
+    assert off[RADIUS] < 0.01 * truth[RADIUS]
+    assert off[DENSITY] < 0.002
+    assert wrong <= (1 + 1e-6) * alone
 
 
 @pytest.mark.usefixtures("single_precision")

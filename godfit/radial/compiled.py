@@ -188,31 +188,82 @@ def scattered(mask, flat, at, numbers, count, out):
     row = np.empty(1, np.uint64), np.empty(1, mask.dtype)
     total = np.empty((sums, 1, WIDE), mask.dtype)
     level = np.empty(2)
+    single, alone = np.empty(points, np.int64), 0
     # Of one type from the start, and as ``_rows`` has them: nothing is compiled twice.
-    begin, single = np.int64(0), np.int64(1)
+    begin, height = np.int64(0), np.int64(1)
     while begin < points:
         run = _run(at, begin)
-        total[:] = 0
-        level[:] = 0
         if run >= GROUP:
+            total[:] = 0
+            level[:] = 0
             top, left = np.float64(at[1, begin]), np.float64(at[0, begin])
             _tile(
-                mask, flat, numbers, count, top, left, single,
+                mask, flat, numbers, count, top, left, height,
                 total, level, strip, slope, column, row,
             )  # fmt: skip
+            for s in range(sums):
+                add = real(level[s]) if s < 2 else real(0)
+                for p in range(run):
+                    out[s, 0, begin + p] = total[s, 0, p] + add
         else:
-            run = min(GROUP, points - begin)
-            _group(mask, at, numbers, count, begin, total)
-        for s in range(sums):
-            add = real(level[s]) if s < 2 else real(0)
             for p in range(run):
-                out[s, 0, begin + p] = total[s, 0, p] + add
+                single[alone + p] = begin + p
+            alone += run
         begin += run
+    single = single[:alone]
+    first, last = np.full(alone, 1, np.int64), np.full(alone, count, np.int64)
+    if _is_dark_around(mask):
+        _lit_taps(mask, at, numbers, count, single, first, last)
+        # Those that read something from much the same tap on go together.
+        order = np.argsort(first)
+        single, first, last = single[order], first[order], last[order]
+    for begin in range(0, alone, GROUP):
+        end = min(begin + GROUP, alone)
+        total[:] = 0
+        some = single[begin:end]
+        _group(mask, at, numbers, some, first[begin:end].min(), last[begin:end].max(), total)
+        for s in range(sums):
+            for p in range(end - begin):
+                out[s, 0, some[p]] = total[s, 0, p]
 
 
 @_compiled
-def _group(mask, at, numbers, count, begin, total):
-    """The sums of GROUP points from ``begin`` on, wherever they lie, added to ``total``."""
+def _is_dark_around(mask):
+    """Whether the padded mask's border, and all beyond, is 0."""
+    edges = mask[0].any() or mask[-1].any()
+    return not (edges or mask[:, 0].any() or mask[:, -1].any())
+
+
+@_compiled
+def _lit_taps(mask, at, numbers, count, single, first, last):
+    """The ``first`` and ``last`` tap (n,) of points ``single`` (n,) that may read more than the
+    border."""
+    light_x, light_y, _, step, lag = _doubles(numbers)
+    highest = mask.shape[1] - 4.0, mask.shape[0] - 3.0
+    for p in range(len(single)):
+        x, y = float(at[0, single[p]]), float(at[1, single[p]])
+        enters, leaves = 0.0, np.inf
+        for axis in range(2):
+            place = x if axis == 0 else y
+            along = light_x - x if axis == 0 else light_y - y
+            if along == 0:
+                if place < 0 or place > highest[axis]:
+                    leaves = -1.0
+                continue
+            a, b = -place / along, (highest[axis] - place) / along
+            enters, leaves = max(enters, min(a, b)), min(leaves, max(a, b))
+        if leaves < enters or step <= 0:
+            first[p], last[p] = count + 1, 0
+            continue
+        # One more at either end, for what rounding does.
+        first[p] = max(1, math.floor(min(enters / step + lag, count + 1.0)))
+        last[p] = min(count, math.ceil(min(leaves / step + lag, count + 1.0)))
+
+
+@_compiled
+def _group(mask, at, numbers, some, first, last, total):
+    """The sums of taps ``first`` to ``last`` of at most GROUP points ``some`` (n,), wherever they
+    lie, added to ``total``."""
     real = mask.dtype.type
     texels, next_row, one = mask.reshape(-1), np.uint64(mask.shape[1]), np.uint64(1)
     light_x, light_y, ratio, step, lag = _doubles(numbers)
@@ -221,10 +272,13 @@ def _group(mask, at, numbers, count, begin, total):
     texel = np.empty(GROUP, np.uint64)
     across, down = np.empty(GROUP, mask.dtype), np.empty(GROUP, mask.dtype)
     for p in range(GROUP):
-        last = min(begin + p, at.shape[1] - 1)
-        x[p], y[p] = at[0, last], at[1, last]
+        point = some[min(p, len(some) - 1)]
+        x[p], y[p] = at[0, point], at[1, point]
     weight, before = 1.0, 0.0
-    for k in range(1, count + 1):
+    if first > 1:
+        before = ratio ** (first - 2.0)
+        weight = before * ratio
+    for k in range(first, last + 1):
         t = (k - lag) * step
         c, c_r, c_t = real(weight), real((k - 1) * before), real(weight * (k - lag))
         before = weight

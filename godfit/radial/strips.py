@@ -28,8 +28,9 @@ from godfit.taps import Taps
 # Calls for one picture: XLA shares them out among its threads, if they are many (it runs programs
 # of few steps in their order).
 CALLS = 16
-# Points that are worth a call of their own.
-ENOUGH = 1024
+# Points that are worth a call of their own; and texels for each that are worth asking which are
+# flat.
+ENOUGH, FLAT = 1024, 32
 
 
 def _shares(size: int, unit: int, most: int) -> list[tuple[int, int]]:
@@ -58,7 +59,8 @@ def strip_sums(
         )
         return made(padded, flat, *arguments)
 
-    flat = _flat_cells(padded)
+    worth = at is None or FLAT * at.shape[1] >= h * w
+    flat = _flat_cells(padded) if worth else _none_flat(padded)
     if at is not None:
         shares = _shares(at.shape[1], ENOUGH, CALLS)
         one = jnp.asarray([count], jnp.int32)
@@ -74,10 +76,18 @@ def strip_sums(
     return jnp.concatenate(parts, 1).reshape(sums, h * w)
 
 
+def _cells(padded):
+    return -(-padded.shape[0] // CELL), -(-padded.shape[1] // CELL)
+
+
+def _none_flat(padded):
+    """(rows/CELL, columns/CELL) nothing is known to have one value."""
+    return jnp.full(_cells(padded), jnp.nan, padded.dtype)
+
+
 def _flat_cells(padded):
     """(rows/CELL, columns/CELL) the mask's value in cells where it has one, NaN elsewhere."""
-    h, w = padded.shape
-    rows, columns = -(-h // CELL), -(-w // CELL)
+    (h, w), (rows, columns) = padded.shape, _cells(padded)
     spread = jnp.pad(padded, ((0, rows * CELL - h), (0, columns * CELL - w)), mode="edge")
     cells = spread.reshape(rows, CELL, columns, CELL)
     low, high = cells.min((1, 3)), cells.max((1, 3))
