@@ -111,12 +111,32 @@ class Place(NamedTuple):
 
 
 def best_around(
-    turns: Turns, begun: list[list[Read]], whole: bool, like: np.ndarray | None = None
+    turns: Turns, begun: list[list[Read]], around: bool, like: np.ndarray | None = None
 ) -> tuple[Turns, Read, list[np.ndarray]]:
-    """The best of what lies around these beginnings, each of which may be of light passes of
-    several sizes, and changes (p,) that it may be off by: a mask that explains more takes the light
-    with it from where it was before, and what lies elsewhere may explain as much. By the turns that
-    suit its size; see ``solved``. The picture is a ``whole`` one or a smaller copy."""
+    """The best of these beginnings, each of which may be of light passes of several sizes, and of
+    what lies ``around`` them if that is wanted, and changes (p,) that it may be off by: a mask that
+    explains more takes the light with it from where it was before, and what lies elsewhere may
+    explain as much. By the turns that suit its size; see ``solved``. Other frames of its clip have
+    scattering ``like`` that (4,), NaN where none tells."""
+    sizes = side_by_side(functools.partial(solved, turns), itertools.chain(*begun))
+    places = sizes
+    if like is not None:
+        places = [*sizes, *side_by_side(functools.partial(_likened, like=like), sizes)]
+    if around:
+        places = _around(turns, begun, sizes, places[len(sizes) :])
+    found = itertools.chain.from_iterable(place.found for place in places)
+    turns, read, *_ = min(places, key=_left)
+    limit, z = ALIKE * turns.total(read), read.point.coordinates
+    alike = [r.point.coordinates - z for r in found if turns.total(r) < limit]
+    doubts = _spread(np.array(alike) * turns.free, turns.model.scales(z))
+    return turns, read, doubts if read.before is None else [z - read.before, *doubts]
+
+
+def _around(
+    turns: Turns, begun: list[list[Read]], sizes: list[Place], likened: list[Place]
+) -> list[Place]:
+    """What lies around beginnings, solved in all their ``sizes``, and around what was ``likened``
+    to other frames."""
 
     def afresh(place: Place) -> Place:
         # A mask that has settled holds the light where it is.
@@ -124,38 +144,29 @@ def best_around(
         best = min(place.read, again, key=place.turns.total)
         return place._replace(read=best, found=(*place.found, again))
 
-    sizes = side_by_side(functools.partial(solved, turns), itertools.chain(*begun))
     each = iter(sizes)
     likely = [min((next(each) for _ in reads), key=_left) for reads in begun]
-    places = side_by_side(afresh, likely)
-    if like is not None:
-        places += side_by_side(functools.partial(_likened, like=like), sizes)
-    known = like is not None and min(places, key=_left).explained
-    # On a copy no disc is as it was drawn, and texture hides how it was.
-    if whole and turns.texture < TEXTURE and not known:
-        limit = CLEARED * min(place.left for place in sizes)
-        near = zip(itertools.chain(*begun), sizes, strict=True)
-        asked = [read for read, place in near if place.left < limit]
-        cleared = _cleared(turns, asked)
-        places += cleared
-        if not min(places, key=_left).explained:
-            places += _glared(sizes)
-            places += _crossed(places)
-        places = _climbed(places, EARLY)
-        best = min(places, key=_left)
-        if not best.explained:
-            # What is nearly right knows better what is clear.
-            asked += [place.read for place in cleared]
-            places += _cleared(best.turns, [best.read], asked, True)
-            places = _climbed(places, TIMES)
-    else:
-        places = _climbed(places, EARLY)
-    found = itertools.chain.from_iterable(place.found for place in places)
-    turns, read, *_ = min(places, key=_left)
-    limit, z = ALIKE * turns.total(read), read.point.coordinates
-    alike = [r.point.coordinates - z for r in found if turns.total(r) < limit]
-    doubts = _spread(np.array(alike) * turns.free, turns.model.scales(z))
-    return turns, read, doubts if read.before is None else [z - read.before, *doubts]
+    places = [*side_by_side(afresh, likely), *likened]
+    told = likened and min(places, key=_left).explained
+    # Texture hides how a disc was drawn.
+    if told or turns.texture >= TEXTURE:
+        return _climbed(places, EARLY)
+    limit = CLEARED * min(place.left for place in sizes)
+    near = zip(itertools.chain(*begun), sizes, strict=True)
+    asked = [read for read, place in near if place.left < limit]
+    cleared = _cleared(turns, asked)
+    places += cleared
+    if not min(places, key=_left).explained:
+        places += _glared(sizes)
+        places += _crossed(places)
+    places = _climbed(places, EARLY)
+    best = min(places, key=_left)
+    if best.explained:
+        return places
+    # What is nearly right knows better what is clear.
+    asked += [place.read for place in cleared]
+    places += _cleared(best.turns, [best.read], asked, True)
+    return _climbed(places, TIMES)
 
 
 def _climbed(places: list[Place], most_times: int) -> list[Place]:

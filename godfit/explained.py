@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-import equinox as eqx
 import numpy as np
 from scipy import ndimage
 
 from godfit.disc import TERMS, DiscLight, terms
+from godfit.kept import kept
 from godfit.observation import Picture, shrink
 
 # Longest side of the copy on which it is asked how much the light explains: fine texture is gone.
@@ -95,7 +95,7 @@ def grain(picture: Picture) -> float:
     return float(np.median(off) / 0.6745)
 
 
-@eqx.filter_jit
+@kept
 def predicted(z, held, model, seen):
     """(n c,) levels at the pixels seen, every pixel's channels together, for coordinates ``z``
     (p,)."""

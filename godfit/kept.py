@@ -84,8 +84,10 @@ def kept(function: Callable[..., Any]) -> Callable[..., Any]:
         program = _programs.get(key)
         if program is None:
             with _locks.setdefault(key, threading.Lock()):
-                program = _programs.get(key) or _on_disk(_folder, key, dynamic)
-                _programs[key] = program
+                program = _programs.get(key)
+                if program is None:
+                    _programs[key], result = _on_disk(_folder, key, dynamic)
+                    return result
         return program(*dynamic)
 
     return call
@@ -110,16 +112,17 @@ def _in_memory(key: tuple) -> Callable[..., Any]:
     return jax.jit(_flat(key))
 
 
-def _on_disk(folder: Path, key: tuple, dynamic: list[Any]) -> Callable[..., Any]:
-    """Read from its file, or compiled and written to it."""
+def _on_disk(folder: Path, key: tuple, dynamic: list[Any]) -> tuple[Callable[..., Any], Any]:
+    """Read from its file, or compiled and written to it; and its result."""
     function, *rest = key
     name = repr((function.__module__, function.__qualname__, *rest))
     if " at 0x" in name:
         # Something that is called otherwise in every run.
-        return _in_memory(key)
+        program = _in_memory(key)
+        return program, program(*dynamic)
     file = folder / hashlib.sha256(name.encode()).hexdigest()
-    program = _read(file, dynamic)
-    if program is None:
+    found = _read(file, dynamic)
+    if found is None:
         flat = _flat(key)
         # An executable that JAX takes from its own cache is not whole when it is written once more:
         # by this name it has none.
@@ -127,7 +130,8 @@ def _on_disk(folder: Path, key: tuple, dynamic: list[Any]) -> Callable[..., Any]
         lowered = jax.jit(flat).lower(*dynamic)
         program = _compiled(lowered)
         _write(file, program, sorted(set(CALLED.findall(lowered.as_text()))))
-    return program
+        found = program, program(*dynamic)
+    return found
 
 
 def _compiled(lowered: Any) -> Any:
@@ -138,7 +142,7 @@ def _compiled(lowered: Any) -> Any:
         return lowered.compile()
 
 
-def _read(file: Path, dynamic: list[Any]) -> Callable[..., Any] | None:
+def _read(file: Path, dynamic: list[Any]) -> tuple[Callable[..., Any], Any] | None:
     from jax.experimental.serialize_executable import deserialize_and_load
 
     try:
@@ -147,11 +151,10 @@ def _read(file: Path, dynamic: list[Any]) -> Callable[..., Any] | None:
             return None
         program = deserialize_and_load(*parts)
         # What is missing in it is missed when it runs.
-        jax.block_until_ready(program(*dynamic))
+        return program, jax.block_until_ready(program(*dynamic))
     except Exception:
         # There is none, or it is of another version, or half of one: it is made anew.
         return None
-    return program
 
 
 def _write(file: Path, program: Any, called: list[str]) -> None:

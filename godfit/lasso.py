@@ -51,14 +51,16 @@ def lasso(
     along: Along,
     thought: np.ndarray,
     start: np.ndarray,
-    pull: float,
-    flip: float,
+    pull: float | np.ndarray,
+    flip: float | np.ndarray,
     short: float = SHORT,
 ) -> np.ndarray:
     """Shares (m,) in [0, 1] for which ``design`` (n, m), no entry of which is given twice, is
-    nearest to ``goal`` (n,), from ``start`` (m,): each costs ``flip`` times how far it is from what
-    was ``thought`` (m,), and half of ``pull`` times the square of that. It ends once the longest
-    step of a sweep is less than ``short``."""
+    nearest to ``goal`` (n,), from ``start`` (m,): each costs ``flip``, all alike or (m,), times how
+    far it is from what was ``thought`` (m,), and half of ``pull`` times the square of that. It ends
+    once the longest step of a sweep is less than ``short``."""
+    pull, flip = (np.full(len(thought), price, np.float64) for price in (pull, flip))
+    enough = GAIN * flip.min(initial=np.inf)
     share = start.astype(np.float64)
     off = along.weight * (goal - design @ share)
     step = along.step(goal - design @ share)
@@ -83,11 +85,11 @@ def lasso(
         rows = few.tocsr()
         gram = _gram(rows.data, rows.indices, rows.indptr, along.weight, len(moving))
         gram -= shared[moving] @ taken[moving].T
-        gram[np.diag_indices(len(moving))] += pull
+        gram[np.diag_indices(len(moving))] += pull[moving]
         there, was = thought[moving], share[moving]
         up = was > there
-        slope = few.T @ off - shared[moving] @ step - pull * (was - there)
-        slope -= np.where(up, flip, -flip)
+        slope = few.T @ off - shared[moving] @ step - pull[moving] * (was - there)
+        slope -= np.where(up, 1, -1) * flip[moving]
         # None goes past what it was thought to be: what it costs would change its sign.
         least, most = np.where(up, there, 0.0), np.where(up, 1.0, there)
         damped = gram + damp * np.diag(np.diag(gram))
@@ -95,7 +97,7 @@ def lasso(
         by = share[moving] - was
         off -= along.weight * (few @ by)
         step -= by @ taken[moving]
-        if guessed and damp < DAMP and slope @ by - by @ gram @ by / 2 < GAIN * flip:
+        if guessed and damp < DAMP and slope @ by - by @ gram @ by / 2 < enough:
             break
         damp *= 0.1 if guessed else 10
     return share
@@ -150,7 +152,7 @@ def _solved(short: np.ndarray, gram: np.ndarray, which: np.ndarray, goal: np.nda
 def _sizes(columns, pull):
     """(m,) what the square of every share is times."""
     data, rows, starts, weight, shared, taken = columns
-    size = np.full(len(starts) - 1, pull)
+    size = pull.copy()
     for j in range(len(size)):
         for k in range(starts[j], starts[j + 1]):
             size[j] += weight[rows[k]] * data[k] ** 2
@@ -181,13 +183,13 @@ def _swept(some, columns, prices, size, off, step, share):
     thought, pull, flip = prices
     longest = 0.0
     for j in some:
-        slope = -pull * (share[j] - thought[j])
+        slope = -pull[j] * (share[j] - thought[j])
         for q in range(len(step)):
             slope -= shared[j, q] * step[q]
         for k in range(starts[j], starts[j + 1]):
             slope += data[k] * off[rows[k]]
         change = share[j] + slope / size[j] - thought[j]
-        change = np.sign(change) * max(abs(change) - flip / size[j], 0.0)
+        change = np.sign(change) * max(abs(change) - flip[j] / size[j], 0.0)
         by = min(max(thought[j] + change, 0.0), 1.0) - share[j]
         if by == 0:
             continue

@@ -32,6 +32,8 @@ ROUNDS = 3
 # that was thought to be open, or open: by how much, so that a few change for good rather than all
 # of them a little, and, for the sake of a unique answer, a little by its square.
 HUBER, FLIP, PULL = 1.0, 36.0, 2.0
+# Rows of a mask whose texels are told one by one, at least, and less than twice as many.
+TOLD = 270
 # Taps that are gone through at once, most: those that read what is unknown are held.
 HELD = 1 << 23
 
@@ -46,14 +48,15 @@ class Shadows(NamedTuple):
 
 
 class Question(NamedTuple):
-    """How open texels ``columns`` (m,) of ``picture.mask`` are: ``thought`` (m,) before, each worth
-    ``counts`` (m,). What the light pass is at row-major ``pixels`` (n,), less what is known of it,
-    is the ``goal`` (n,) in levels, and what they add to it the ``design`` (n, m); where the picture
-    is another, the light pass is by the sum of ``weights`` (n, c) times that. ``noise`` is in
-    levels."""
+    """How open ``texels`` (k,) of ``picture.mask`` are, those of one of m cells, ``cell`` (k,),
+    alike: ``thought`` (m,) before, each worth ``counts`` (m,). What the light pass is at row-major
+    ``pixels`` (n,), less what is known of it, is the ``goal`` (n,) in levels, and what they add to
+    it the ``design`` (n, m); where the picture is another, the light pass is by the sum of
+    ``weights`` (n, c) times that. ``noise`` is in levels."""
 
     picture: Picture
-    columns: np.ndarray
+    texels: np.ndarray
+    cell: np.ndarray
     thought: np.ndarray
     counts: np.ndarray
     pixels: np.ndarray
@@ -74,16 +77,19 @@ class Question(NamedTuple):
         if slopes is not None:
             moves = (slopes(self.pixels) * self.weights).sum(-1).T.astype(np.float32)
         out = (picture.mask if near is None else near.mask).reshape(-1).copy()
-        share, step = out[self.columns] * self.counts, np.zeros(0)
+        many = np.bincount(self.cell)
+        share = np.bincount(self.cell, out[self.texels]) / many * self.counts
+        # As precise as what was thought: what is as it was thought is told by that.
+        share, step = share.astype(np.float32), np.zeros(0)
         weight = np.ones_like(goal) if near is None else near.weight
-        each = noise**2 * len(goal) / (picture.size[0] * picture.size[1])
+        each = many * noise**2 * len(goal) / (picture.size[0] * picture.size[1])
         for _ in range(ROUNDS if near is None else 1):
             along = Along(moves, weight, noise)
             share = lasso(design, goal, along, self.thought, share, PULL * each, FLIP * each)
             step = along.step(goal - design @ share)
             off = np.abs(goal - design @ share - moves @ step)
             weight = np.minimum(1, noise * HUBER / np.maximum(off, 1e-9)).astype(np.float32)
-        out[self.columns] = share / self.counts
+        out[self.texels] = (share / self.counts)[self.cell]
         return Shadows(out.reshape(picture.mask.shape).astype(np.float32), step, weight)
 
 
@@ -104,20 +110,38 @@ def asked(
     h, w = picture.mask.shape[:2]
     rim, worth = _rim(model, (h, w))
     unknown = unknown | rim
-    columns = np.flatnonzero(unknown)
+    texels = np.flatnonzero(unknown)
     usable = np.flatnonzero(picture.valid & ~picture.clipped)
-    if not len(columns) or len(usable) < 100:
+    if not len(texels) or len(usable) < 100:
         return None
+    cell = _cells(texels, prior, rim)
     rng = np.random.default_rng(seed)
     pixels = np.sort(rng.permutation(usable)[: min(rows, _affordable(model, picture.size, (h, w)))])
     light, weights = light_read(model, picture, pixels)
-    known, design = _sums(model, pixels, picture, unknown)
+    known, design = _sums(model, pixels, picture, texels, cell)
     goal = (light - known * LEVELS).astype(np.float32)
-    counts = worth.ravel()[columns]
+    # One of each: those of a cell are worth as much, and were thought to be as open.
+    _, each = np.unique(cell, return_index=True)
+    counts = worth.ravel()[texels[each]]
     design.data /= np.repeat(counts, np.diff(design.indptr))
-    thought = prior.ravel()[columns].astype(np.float32) * counts
+    thought = prior.ravel()[texels[each]].astype(np.float32) * counts
     noise = max(1.0, texture)
-    return Question(picture, columns, thought, counts, pixels, goal, design, weights, noise)
+    return Question(picture, texels, cell, thought, counts, pixels, goal, design, weights, noise)
+
+
+def _cells(texels: np.ndarray, prior: np.ndarray, rim: np.ndarray) -> np.ndarray:
+    """(k,) in which cell, from 0 on, each of ``texels`` (k,) is: of a large mask rays that can be
+    read are too few to tell single ones. What was thought open is not with what was thought solid,
+    and at the ``rim`` each is told for itself, as are those half open."""
+    (h, w), one = prior.shape[:2], np.arange(len(texels))
+    side = max(1, h // TOLD)
+    if side == 1:
+        return one
+    thought, alone = prior.ravel()[texels], rim.ravel()[texels]
+    place = texels // w // side * -(-w // side) + texels % w // side
+    shared = 2 * place + (thought == 1)
+    key = np.where(alone | (thought > 0) & (thought < 1), 2 * h * w + one, shared)
+    return np.unique(key, return_inverse=True)[1]
 
 
 def light_read(
@@ -162,7 +186,7 @@ def _rim(model: DiscLight, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarra
     return rim, np.where(rim, np.maximum(lit, DARK), 1).astype(np.float32)
 
 
-def _lit(model: DiscLight, size: tuple[int, int]) -> np.ndarray:
+def lit_by(model: DiscLight, size: tuple[int, int]) -> np.ndarray:
     """(h, w) how bright the light pass finds what is open."""
     return np.asarray(_disc_of(model, size)[1])
 
@@ -182,11 +206,11 @@ def _affordable(model: DiscLight, size: tuple[int, int], low: tuple[int, int]) -
 
 
 def _sums(
-    model: DiscLight, pixels: np.ndarray, picture: Picture, unknown: np.ndarray
+    model: DiscLight, pixels: np.ndarray, picture: Picture, unknown: np.ndarray, cell: np.ndarray
 ) -> tuple[np.ndarray, sparse.csc_matrix]:
     """What the light pass, of the mask's size and read bilinearly, is at row-major ``pixels`` (n,)
-    of the picture for what is known of the mask, and what every texel's openness adds to it in
-    levels (n, unknown texels)."""
+    of the picture for what is known of the mask, and what the openness of every ``cell`` (k,) of
+    ``unknown`` texels (k,) adds to it in levels (n, cells)."""
     low = (picture.mask.shape[0], picture.mask.shape[1])
     texels, mixed = pixels, None
     if picture.size != low:
@@ -196,16 +220,16 @@ def _sums(
         shape = (len(pixels), len(texels))
         mixed = sparse.csr_matrix((share.ravel(), column.ravel(), starts), shape)
     (taps,) = model.taps
-    place = np.full(unknown.size, -1, np.int32)
-    (columns,) = np.nonzero(unknown.ravel())
-    place[columns] = np.arange(len(columns))
+    place = np.full(picture.mask.size, -1, np.int32)
+    place[unknown] = cell
+    count = int(cell.max()) + 1
     light = np.asarray(model.light[0], np.float64) * (low[1], -low[0]) + (-0.5, low[0] - 0.5)
-    lit = _lit(model, low).ravel()
+    lit = lit_by(model, low).ravel()
     t, c = (np.asarray(a, np.float64) for a in (taps.t, taps.c))
     t, c = np.append(0.0, t), np.append(float(taps.own), c)
     values = np.asarray(picture.mask, np.float32).ravel()
-    known, starts, read, share = texel_sums(texels, *low, light, t, c, lit, values, place)
-    shape = (len(texels), len(columns))
+    known, starts, read, share = texel_sums(texels, *low, light, t, c, lit, values, place, count)
+    shape = (len(texels), count)
     share *= np.float32(LEVELS)
     sums = sparse.csr_matrix((share, read, starts), shape)
     if mixed is not None:

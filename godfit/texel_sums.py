@@ -8,13 +8,14 @@ from godfit.native import compiled
 
 
 @compiled
-def texel_sums(texels, h, w, light, t, c, lit, values, place):
+def texel_sums(texels, h, w, light, t, c, lit, values, place, count):
     """Sums at row-major ``texels`` (n,) of a pass of ``h`` by ``w``: what taps ``t``, ``c`` (k,)
     towards column and row ``light`` (2,) read of a mask ``lit`` (h w,) times ``values`` (h w,)
-    where ``place`` (h w,) is -1, and the rest as a sparse matrix in columns ``place``."""
+    where ``place`` (h w,) is -1, and the rest as a sparse matrix in columns ``place``, of which
+    there are ``count``."""
     known = np.zeros(len(texels))
-    # Where a texel that is read more than once is kept.
-    kept = np.full(len(place), -1, np.int64)
+    # Where a column that is read more than once is kept.
+    kept = np.full(count, -1, np.int64)
     starts = np.zeros(len(texels) + 1, np.int32)
     read, share = np.empty(len(texels), np.int32), np.empty(len(texels), np.float32)
     end = 0
@@ -23,10 +24,10 @@ def texel_sums(texels, h, w, light, t, c, lit, values, place):
         if end + 4 * len(t) > len(read):
             room = 2 * len(read) + 4 * len(t)
             read, share = _moved(read[:end], room), _moved(share[:end], room)
-        row, column = texels[n] // w, texels[n] % w
+        from_row, from_column = texels[n] // w, texels[n] % w
         for k in range(len(t)):
-            x = column + t[k] * (light[0] - column)
-            y = row + t[k] * (light[1] - row)
+            x = from_column + t[k] * (light[0] - from_column)
+            y = from_row + t[k] * (light[1] - from_row)
             left, low = np.floor(x), np.floor(y)
             for corner in range(4):
                 right, high = corner % 2, corner // 2
@@ -36,14 +37,15 @@ def texel_sums(texels, h, w, light, t, c, lit, values, place):
                 part_x = x - left if right else 1 - (x - left)
                 part_y = y - low if high else 1 - (y - low)
                 part = c[k] * part_x * part_y * lit[at]
-                if place[at] < 0:
+                column = place[at]
+                if column < 0:
                     known[n] += part * values[at]
-                elif kept[at] < starts[n]:
-                    kept[at] = end
-                    read[end], share[end] = place[at], part
+                elif kept[column] < starts[n]:
+                    kept[column] = end
+                    read[end], share[end] = column, part
                     end += 1
                 else:
-                    share[kept[at]] += part
+                    share[kept[column]] += part
         starts[n + 1] = end
     return known, starts, read[:end].copy(), share[:end].copy()
 

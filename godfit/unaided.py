@@ -7,15 +7,13 @@ settled on blocks of the whole picture under a likelihood with heavy tails.
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable, Mapping
 
-import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
 from godfit import inputs, screenshot
-from godfit.beside import NEAR, TEXTURE, best_around, solved
+from godfit.beside import NEAR, TEXTURE, best_around
 from godfit.disc import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL, DiscLight
 from godfit.edge import hardened, softened
 from godfit.errors import InputError
@@ -24,9 +22,9 @@ from godfit.image import Image
 from godfit.inference import evidence
 from godfit.models import Mitchell
 from godfit.observation import Observation, Picture
+from godfit.occluders import lit_by
 from godfit.pass_size import HALF, pass_scale_of
 from godfit.settling import Settled, Tangent, settle
-from godfit.side_by_side import side_by_side
 from godfit.solver import Point, solve_tangent
 from godfit.turns import SOME, Read, Turns
 from godfit.verdict import Found
@@ -204,39 +202,29 @@ def _searched(
     say: Callable[[str], None],
     like: np.ndarray | None,
 ) -> tuple[Turns, Read, list[np.ndarray]]:
-    """The best of where the search ended and of what lies beside it, by a few of the pixels, with a
-    light pass of one of these ``sizes``, and changes (p,) that it may be off by. What lies beside
-    it is looked for on the copy, the size on the picture itself."""
-    picture, copy = turns.picture, looked.copy
-    small = dataclasses.replace(turns, picture=copy, texture=grain(copy))
-    few = copy.observe(copy.informative(screenshot.MORE, seed + 2))
-    whole = copy.size == picture.size
-    # No light pass is larger than what is seen of it.
-    larger = picture.size[0] / copy.size[0]
-    scales = sizes if whole else [min(1.0, larger * max(sizes))]
+    """The best of where the search ended and, unless that was on a smaller copy, of what lies
+    beside it, by a few of the pixels, with a light pass of one of these ``sizes``, and changes (p,)
+    that it may be off by."""
+    picture = turns.picture
+    few = picture.observe(picture.informative(screenshot.MORE, seed + 2))
+    whole = looked.copy.size == picture.size
 
     def begun(end: screenshot.End) -> list[Read]:
+        # What it left on a copy says nothing of what it leaves here, nor do its shadows.
         at = Point(end.coordinates, np.inf, False, 0)
-        # On a copy of half the size shadows were those of such a pass.
-        masks = {scale: [end.mask, end.coarse] if scale == HALF else [end.mask] for scale in scales}
+        masks = {scale: [end.mask if whole else np.asarray(picture.mask)] for scale in sizes}
+        if whole and HALF in masks:
+            # On a copy of that size shadows were those of such a pass.
+            masks[HALF].append(end.coarse)
         return [
             Read.of(at, inputs.shrink_mask(mask, scale), few)
-            for scale in scales
+            for scale in sizes
             for mask in masks[scale]
         ]
 
-    say("lights, densities and radii beside these")
-    small, read, doubts = best_around(small, [begun(end) for end in looked.ends], whole, like)
-    if whole:
-        return small, read, doubts
-    say("shadows of the whole picture")
-    few = picture.observe(picture.informative(screenshot.MORE, seed + 2))
-    mask = screenshot.enlarged(read.mask, read.thought, np.asarray(picture.mask))
-    # What it left on the copy says nothing of what it leaves here.
-    there = read.point._replace(cost=np.inf)
-    reads = [Read.of(there, inputs.shrink_mask(mask, scale), few) for scale in sizes]
-    place = min(side_by_side(functools.partial(solved, turns), reads), key=lambda p: p.left)
-    return place.turns, place.read, doubts
+    say("lights, densities and radii beside these" if whole else "shadows of the whole picture")
+    ends = looked.ends if whole else looked.ends[:1]
+    return best_around(turns, [begun(end) for end in ends], whole, like)
 
 
 def _finer_background(
@@ -306,7 +294,7 @@ def _shift(
 
 def _out_of_sight(model: DiscLight, z: np.ndarray, held: np.ndarray, picture: Picture) -> bool:
     """Whether nothing in the picture is lit by more than the veil."""
-    lit = np.asarray(model.moved(z, held).occlusion(jnp.ones(picture.mask.shape, jnp.float32)))
+    lit = lit_by(model.moved(z, held), (picture.mask.shape[0], picture.mask.shape[1]))
     return bool(lit.max() < SEEN * lit.min())
 
 

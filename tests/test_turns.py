@@ -102,7 +102,8 @@ def test_what_every_texel_adds_is_the_light_pass(scale):
         np.zeros((*SIZE, 3), np.float32), 0.5, np.ones(SIZE, bool), mask, None, "none"
     )
     pixels = np.sort(rng.permutation(SIZE[0] * SIZE[1])[:500])
-    known, design = _sums(model, pixels, picture, unknown)
+    texels = np.flatnonzero(unknown)
+    known, design = _sums(model, pixels, picture, texels, np.arange(len(texels)))
     light = known + design @ mask[unknown] / 255
     right = model.light_pass(jnp.asarray(mask), size=SIZE, pixels=jnp.asarray(pixels))
     np.testing.assert_allclose(light, right, atol=1e-6)
@@ -241,17 +242,17 @@ def test_what_lies_beside_an_answer_is_found(known, monkeypatch):
     still, stuck = begun(still, picture, z)
     stuck = still.turned(stuck, 6)
     turns = dataclasses.replace(turns, held=still.held)
-    _, read, _ = beside.best_around(turns, [[stuck]], whole=True)
+    _, read, _ = beside.best_around(turns, [[stuck]], around=True)
     with monkeypatch.context() as patch:
         patch.setattr(beside, "BESIDE", {})
-        _, alone, _ = beside.best_around(turns, [[stuck]], whole=True)
+        _, alone, _ = beside.best_around(turns, [[stuck]], around=True)
     off = np.abs(read.point.coordinates - truth)
     assert turns.total(read) < 0.5 * turns.total(alone)
     assert off[[LIGHT_X, LIGHT_Y]].max() < 0.5 / SIZE[1]
     assert (off[[i for i in known if i != GAIN]] == 0).all()
     if not known:
         # What was found elsewhere is as good a start, but for what sums in float32 leave open.
-        _, again, _ = beside.best_around(turns, [[stuck], [read]], whole=True)
+        _, again, _ = beside.best_around(turns, [[stuck], [read]], around=True)
         assert turns.total(again) <= (1 + 1e-6) * turns.total(read)
 
 
@@ -266,11 +267,11 @@ def test_the_middle_of_glare_is_held_until_its_shadows_suit_it(monkeypatch):
     still = dataclasses.replace(turns, free=turns.free & (np.arange(len(z)) != LIGHT_X))
     still, stuck = begun(still, picture, z)
     turns = dataclasses.replace(turns, held=still.held)
-    _, read, _ = beside.best_around(turns, [[stuck]], whole=True)
+    _, read, _ = beside.best_around(turns, [[stuck]], around=True)
     assert np.abs(read.point.coordinates - truth)[[LIGHT_X, LIGHT_Y]].max() < 1 / SIZE[1]
     # One that is given stays.
     turns = dataclasses.replace(turns, free=still.free)
-    _, read, _ = beside.best_around(turns, [[stuck]], whole=True)
+    _, read, _ = beside.best_around(turns, [[stuck]], around=True)
     assert read.point.coordinates[LIGHT_X] == z[LIGHT_X]
 
 
@@ -294,7 +295,7 @@ def test_what_other_frames_tell_is_held_until_the_rest_suits_it(monkeypatch):
     (alone, _), (right, off), (wrong, _) = (
         (turns.total(read), np.abs(read.point.coordinates - truth))
         for like in (None, shared, shared * [1, 3, 0.7, 3])
-        for _, read, _ in [beside.best_around(turns, [[stuck]], whole=True, like=like)]
+        for _, read, _ in [beside.best_around(turns, [[stuck]], around=True, like=like)]
     )
     assert right < 0.5 * alone
     assert off[RADIUS] < 0.01 * truth[RADIUS]
@@ -318,15 +319,18 @@ def test_what_rounding_alone_is_left_of_is_looked_around_once(monkeypatch):
     asked, around, look = [], [], beside._looked_around
     monkeypatch.setattr(beside, "seen_clearly", lambda *a: asked.append(a[-1]) or [])
     monkeypatch.setattr(beside, "_looked_around", lambda place: around.append(1) or look(place))
-    _, there, _ = beside.best_around(turns, [[read]], whole=True)
+    _, there, _ = beside.best_around(turns, [[read]], around=True)
     assert np.abs(there.point.coordinates - truth)[LIGHT_X] < 0.1 / SIZE[1]
     assert len(around) == 1
     assert asked == [False]
-    # Next to texture, or on a copy, rays would not tell.
+    # Next to texture rays would not tell.
     asked.clear()
-    for there, whole in ((dataclasses.replace(turns, texture=2.0), True), (turns, False)):
-        beside.best_around(there, [[read]], whole=whole)
+    beside.best_around(dataclasses.replace(turns, texture=2.0), [[read]], around=True)
     assert not asked
+    around.clear()
+    beside.best_around(turns, [[read]], around=False)
+    assert not asked
+    assert not around
 
 
 @pytest.mark.usefixtures("single_precision")
