@@ -75,6 +75,29 @@ def test_points_anywhere(light, method):
     agree(shaped, expected.reshape(3, 2), 1e-12)
 
 
+@pytest.mark.parametrize("light", oracle.LIGHTS.values(), ids=oracle.LIGHTS)
+def test_taps_that_read_a_dark_border_add_nothing(light):
+    """Points in and far off a mask, most of whose rays miss what is not dark: sums and their
+    derivatives are those of the reference, which reads all of them."""
+    mask = np.zeros((40, 60))
+    mask[15:22, 20:41] = np.random.default_rng(0).random((7, 21))
+    rng = np.random.default_rng(1)
+    at = jnp.asarray(rng.uniform((-30, -30), (90, 70), (300, 2)))
+    numbers = jnp.array([*light, TAPS.own, TAPS.first, TAPS.ratio, TAPS.step])
+
+    def summed(numbers, method):
+        taps = Taps(*numbers[2:], TAPS.count)
+        return radial.radial_sum(jnp.asarray(mask), numbers[:2], taps, at=at, method=method)
+
+    def both(method):
+        derivative = jax.jacfwd(lambda n: summed(n, method))
+        return jax.jit(lambda n: (summed(n, method), derivative(n)))(numbers)
+
+    for found, expected in zip(both("strips"), both("reference"), strict=True):
+        assert np.count_nonzero(expected) > 20
+        agree(found, expected, 1e-12 * np.abs(expected).max())
+
+
 @pytest.mark.parametrize("method", ["reference", "pairs", "strips"])
 def test_whole_pixels_are_met_exactly(method):
     mask = jnp.asarray(MASKS["random"])

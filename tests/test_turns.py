@@ -8,7 +8,7 @@ import pytest
 from scipy import sparse
 from scipy.optimize import minimize
 
-from godfit import beside, glare
+from godfit import beside, glare, occluders
 from godfit import edge as edges
 from godfit import lasso as lasso_module
 from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, VEIL, DiscLight
@@ -107,6 +107,33 @@ def test_what_every_texel_adds_is_the_light_pass(scale):
     light = known + design @ mask[unknown] / 255
     right = model.light_pass(jnp.asarray(mask), size=SIZE, pixels=jnp.asarray(pixels))
     np.testing.assert_allclose(light, right, atol=1e-6)
+
+
+@pytest.mark.usefixtures("single_precision")
+def test_texels_of_a_large_mask_are_told_in_cells(monkeypatch):
+    """What a cell adds is what its texels add together, and costs as much; none holds what was
+    thought open and what was not, and those of the rim are told one by one."""
+    picture, truth, turns = lit(1e-5, bar=True)
+    thought = np.ones(SIZE, np.float32)
+    thought[36:38, 62:91] = 0
+    model = turns.model.moved(truth, turns.held)
+    arguments = model, picture, turns.unknown, thought, 4000, 0
+    single = asked(*arguments)
+    monkeypatch.setattr(occluders, "TOLD", SIZE[0] // 3)
+    question = asked(*arguments)
+    texels, cell = question.texels, question.cell
+    np.testing.assert_array_equal(texels, single.texels)
+    assert cell.max() < len(texels) / 3
+    of_cell = sparse.csr_matrix((np.ones(len(texels)), (np.arange(len(texels)), cell)))
+    together = (single.design @ of_cell).toarray()
+    np.testing.assert_allclose(question.design.toarray(), together, rtol=1e-5, atol=1e-4)
+    for values in (thought.ravel()[texels], texels // SIZE[1] // 3, texels % SIZE[1] // 3):
+        assert all(np.ptp(values[cell == c]) == 0 for c in range(cell.max() + 1))
+    rim = np.asarray(model.rim(SIZE)).ravel()[texels]
+    assert (np.bincount(cell)[cell[rim]] == 1).all()
+    mask = question.answered().mask
+    assert mask[34:40, 62:88].mean() < 0.2
+    assert mask.mean() > 0.97
 
 
 @pytest.mark.usefixtures("single_precision")
