@@ -13,9 +13,10 @@ import numpy as np
 from scipy import ndimage
 
 from godfit import inputs, screenshot
-from godfit.beside import NEAR, TEXTURE, best_around
+from godfit.around import TEXTURE, best_around
 from godfit.disc import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL, DiscLight
 from godfit.edge import hardened, softened
+from godfit.elsewhere import NEAR
 from godfit.errors import InputError
 from godfit.explained import grain, predicted
 from godfit.image import Image

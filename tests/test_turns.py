@@ -8,7 +8,7 @@ import pytest
 from scipy import sparse
 from scipy.optimize import minimize
 
-from godfit import beside, glare, occluders
+from godfit import around, beside, elsewhere, glare, occluders
 from godfit import edge as edges
 from godfit import lasso as lasso_module
 from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, VEIL, DiscLight
@@ -255,7 +255,7 @@ def test_a_soft_edge_is_read_where_there_is_one(edge):
 def test_what_lies_beside_an_answer_is_found(known, monkeypatch):
     """From a light that is two texels off, with shadows that suit it, and what is known stays.
     Without clear rays and glare, which would tell at once."""
-    monkeypatch.setattr(beside, "seen_clearly", lambda *_: [])
+    monkeypatch.setattr(elsewhere, "seen_clearly", lambda *_: [])
     monkeypatch.setattr(glare, "circles", lambda *_: np.zeros((0, 3)))
     monkeypatch.setattr(beside, "BESIDE", {LIGHT_X: 1.3, DENSITY: 1.0, RADIUS: 0.2})
     picture, truth, turns = lit(1e-5, bar=True)
@@ -269,24 +269,24 @@ def test_what_lies_beside_an_answer_is_found(known, monkeypatch):
     still, stuck = begun(still, picture, z)
     stuck = still.turned(stuck, 6)
     turns = dataclasses.replace(turns, held=still.held)
-    _, read, _ = beside.best_around(turns, [[stuck]], around=True)
+    _, read, _ = around.best_around(turns, [[stuck]], around=True)
     with monkeypatch.context() as patch:
         patch.setattr(beside, "BESIDE", {})
-        _, alone, _ = beside.best_around(turns, [[stuck]], around=True)
+        _, alone, _ = around.best_around(turns, [[stuck]], around=True)
     off = np.abs(read.point.coordinates - truth)
     assert turns.total(read) < 0.5 * turns.total(alone)
     assert off[[LIGHT_X, LIGHT_Y]].max() < 0.5 / SIZE[1]
     assert (off[[i for i in known if i != GAIN]] == 0).all()
     if not known:
         # What was found elsewhere is as good a start, but for what sums in float32 leave open.
-        _, again, _ = beside.best_around(turns, [[stuck], [read]], around=True)
+        _, again, _ = around.best_around(turns, [[stuck], [read]], around=True)
         assert turns.total(again) <= (1 + 1e-6) * turns.total(read)
 
 
 @pytest.mark.usefixtures("single_precision")
 def test_the_middle_of_glare_is_held_until_its_shadows_suit_it(monkeypatch):
     """From a light that is eight texels off, farther than is looked beside."""
-    monkeypatch.setattr(beside, "seen_clearly", lambda *_: [])
+    monkeypatch.setattr(elsewhere, "seen_clearly", lambda *_: [])
     monkeypatch.setattr(beside, "BESIDE", {})
     picture, truth, turns = lit(1e-5, bar=True)
     z = truth.copy()
@@ -294,11 +294,11 @@ def test_the_middle_of_glare_is_held_until_its_shadows_suit_it(monkeypatch):
     still = dataclasses.replace(turns, free=turns.free & (np.arange(len(z)) != LIGHT_X))
     still, stuck = begun(still, picture, z)
     turns = dataclasses.replace(turns, held=still.held)
-    _, read, _ = beside.best_around(turns, [[stuck]], around=True)
+    _, read, _ = around.best_around(turns, [[stuck]], around=True)
     assert np.abs(read.point.coordinates - truth)[[LIGHT_X, LIGHT_Y]].max() < 1 / SIZE[1]
     # One that is given stays.
     turns = dataclasses.replace(turns, free=still.free)
-    _, read, _ = beside.best_around(turns, [[stuck]], around=True)
+    _, read, _ = around.best_around(turns, [[stuck]], around=True)
     assert read.point.coordinates[LIGHT_X] == z[LIGHT_X]
 
 
@@ -306,7 +306,7 @@ def test_the_middle_of_glare_is_held_until_its_shadows_suit_it(monkeypatch):
 def test_what_other_frames_tell_is_held_until_the_rest_suits_it(monkeypatch):
     """From a disc half as large again and as much less bright, whose density is another; where
     others are wrong what explains more stays."""
-    monkeypatch.setattr(beside, "seen_clearly", lambda *_: [])
+    monkeypatch.setattr(elsewhere, "seen_clearly", lambda *_: [])
     monkeypatch.setattr(glare, "circles", lambda *_: np.zeros((0, 3)))
     monkeypatch.setattr(beside, "BESIDE", {})
     picture, truth, turns = lit(1e-5, bar=True)
@@ -322,7 +322,7 @@ def test_what_other_frames_tell_is_held_until_the_rest_suits_it(monkeypatch):
     (alone, _), (right, off), (wrong, _) = (
         (turns.total(read), np.abs(read.point.coordinates - truth))
         for like in (None, shared, shared * [1, 3, 0.7, 3])
-        for _, read, _ in [beside.best_around(turns, [[stuck]], around=True, like=like)]
+        for _, read, _ in [around.best_around(turns, [[stuck]], around=True, like=like)]
     )
     assert right < 0.5 * alone
     assert off[RADIUS] < 0.01 * truth[RADIUS]
@@ -337,25 +337,25 @@ def test_what_rounding_alone_is_left_of_is_looked_around_once(monkeypatch):
     turns, read = begun(turns, picture, truth)
     # How the rim is cut is read in a few turns.
     for _ in range(2):
-        read = beside.solved(turns, read).read
-    assert beside.solved(turns, read).explained
+        read = elsewhere.solved(turns, read).read
+    assert elsewhere.solved(turns, read).explained
     z = truth.copy()
     z[LIGHT_X] += 2 / SIZE[1]
     held = dataclasses.replace(turns, free=turns.free & (np.arange(len(z)) != LIGHT_X))
-    assert not beside.solved(held, begun(held, picture, z)[1]).explained
-    asked, around, look = [], [], beside._looked_around
-    monkeypatch.setattr(beside, "seen_clearly", lambda *a: asked.append(a[-1]) or [])
-    monkeypatch.setattr(beside, "_looked_around", lambda place: around.append(1) or look(place))
-    _, there, _ = beside.best_around(turns, [[read]], around=True)
+    assert not elsewhere.solved(held, begun(held, picture, z)[1]).explained
+    asked, around, look = [], [], beside.looked_around
+    monkeypatch.setattr(elsewhere, "seen_clearly", lambda *a: asked.append(a[-1]) or [])
+    monkeypatch.setattr(around, "looked_around", lambda place: around.append(1) or look(place))
+    _, there, _ = around.best_around(turns, [[read]], around=True)
     assert np.abs(there.point.coordinates - truth)[LIGHT_X] < 0.1 / SIZE[1]
     assert len(around) == 1
     assert asked == [False]
     # Next to texture rays would not tell.
     asked.clear()
-    beside.best_around(dataclasses.replace(turns, texture=2.0), [[read]], around=True)
+    around.best_around(dataclasses.replace(turns, texture=2.0), [[read]], around=True)
     assert not asked
     around.clear()
-    beside.best_around(turns, [[read]], around=False)
+    around.best_around(turns, [[read]], around=False)
     assert not asked
     assert not around
 
@@ -432,18 +432,18 @@ def test_nearer_and_then_far_dips_are_looked_at_and_then_no_more(monkeypatch):
     monkeypatch.setattr(beside, "BESIDE", {DENSITY: 2.0})
     monkeypatch.setattr(beside, "_beside", beside_it)
     monkeypatch.setattr(Turns, "total", lambda self, read: read.point.cost)
-    place = beside._place(turns, best)
+    place = beside.place_of(turns, best)
     for expected in (2, 1, beside.FARTHER):
         assert not place.finished
         tried.clear()
-        place = beside._looked_around(place)
+        place = beside.looked_around(place)
         assert place.read is best
         assert [dips for dips, _ in tried] == [expected] * 2
         assert [np.sign(by) for _, by in tried] == [-1, 1]
     assert place.finished
     # From another answer all of it is to be looked at again.
     place, worse = place._replace(steps={DENSITY: 2.0}), other
-    place = beside._looked_around(place)
+    place = beside.looked_around(place)
     assert place.read is other
     assert place._replace(steps={DENSITY: 1.0}).dips(DENSITY) == 1
 
@@ -456,16 +456,18 @@ def test_each_size_of_pass_begins_from_the_disc_of_the_other(monkeypatch):
     seen = picture.observe(np.arange(100))
     whole = Read.of(Point(truth, 1.0, True, 0), picture.mask, seen)
     half = Read.of(Point(moved, 1.0, True, 0), picture.mask[::2, ::2], seen)
-    places = [beside._place(turns, read) for read in (whole, half)]
-    monkeypatch.setattr(beside, "_suited", lambda turns, read, z: beside._place(turns, read.at(z)))
-    first, second = (place.read for place in beside._crossed(places))
+    places = [beside.place_of(turns, read) for read in (whole, half)]
+    monkeypatch.setattr(
+        elsewhere, "_suited", lambda turns, read, z: beside.place_of(turns, read.at(z))
+    )
+    first, second = (place.read for place in elsewhere.crossed(places))
     assert (first.mask.shape, second.mask.shape) == (whole.mask.shape, half.mask.shape)
     by_half, by_whole = first.point.coordinates, second.point.coordinates
     discs = [DENSITY, LIGHT_X, LIGHT_Y, RADIUS]
     np.testing.assert_array_equal(by_half[discs], moved[discs])
     np.testing.assert_array_equal(by_whole[discs], truth[discs])
     assert by_half[GAIN] == truth[GAIN]
-    assert beside._crossed(places[:1]) == []
+    assert elsewhere.crossed(places[:1]) == []
 
 
 def test_a_pixel_is_read_from_what_is_not_clipped_of_it():
