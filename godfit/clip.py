@@ -2,9 +2,9 @@
 each frame's own.
 
 Frames are taken one after another and fitted alone, as pictures that come with nothing, each looked
-for near the shader that those before it have, too; of each only its answer and covariance are kept,
-so that memory does not grow with their number. What they say of the shader is pooled number by
-number, see ``pooling.py``.
+for, too, near the shader of the frame so far that was explained best; of each only its answer and
+covariance are kept, so that memory does not grow with their number. What they say of the shader is
+pooled number by number, see ``pooling.py``.
 """
 
 from __future__ import annotations
@@ -96,13 +96,22 @@ class ClipResult:
 
 class _Answer(NamedTuple):
     """Of one frame alone: coordinates ``at`` (6,) of scattering and light, their ``covariance``
-    (6, 6), zero for those that are held, ``open_`` as in ``Found``."""
+    (6, 6), zero for those that are held, ``open_`` as in ``Found``, and the ``noise`` that is left,
+    in levels."""
 
     name: str
     at: np.ndarray
     covariance: np.ndarray
     open_: list[tuple[int, list[int]]]
     message: str
+    noise: float
+
+    @property
+    def told(self) -> np.ndarray:
+        """(4,) what of the scattering it tells."""
+        told = (np.diag(self.covariance)[:SHARED] > 0) & (not self.message)
+        told[[index for index, _ in self.open_]] = False
+        return told
 
 
 def fit_clip(
@@ -178,7 +187,7 @@ def _answer(name: str, found: Found) -> _Answer:
     at, slopes = (np.asarray(a, np.float64) for a in _of_the_shader(found.model, z, held))
     open_ = [(index, [i for i in others if i < len(at)]) for index, others in found.opened]
     covariance = slopes @ spread(found).covariance @ slopes.T
-    return _Answer(name, at, covariance, open_, found.objection)
+    return _Answer(name, at, covariance, open_, found.objection, found.settled.sigma)
 
 
 @eqx.filter_jit
@@ -215,8 +224,7 @@ def _information(answer: _Answer) -> np.ndarray:
     does, and of frames alike, which vary alike, the mean is the same."""
     block, slopes = answer.covariance[:SHARED, :SHARED], _slopes(answer.at)
     variance = np.diag(slopes @ block @ slopes.T)
-    told = (np.diag(block) > 0) & (not answer.message)
-    told[[index for index, _ in answer.open_]] = False
+    told = answer.told
     return np.diag(np.where(told, 1 / np.where(told, variance, 1.0), 0.0))
 
 
@@ -236,12 +244,13 @@ def _pooled(answers: list[_Answer]) -> Pool:
 
 
 def _so_far(answers: list[_Answer]) -> np.ndarray | None:
-    """(4,) coordinates of the scattering that the frames read so far tell, NaN where none does:
-    where the next may look for its own. What it then finds there is told by itself alone."""
-    if not answers:
+    """(4,) coordinates of the scattering that the frame has of which the least is left, NaN where
+    it tells none: where the next may look for its own. What that finds there it tells alone."""
+    sound = [answer for answer in answers if not answer.message]
+    if not sound:
         return None
-    pool = _pooled(answers)
-    return np.where(np.isfinite(np.diag(pool.covariance)), pool.mean, np.nan)
+    best = min(sound, key=lambda answer: answer.noise)
+    return np.where(best.told, best.at[:SHARED], np.nan)
 
 
 def _concluded(

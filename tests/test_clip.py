@@ -30,7 +30,7 @@ def answers(seed, count):
         truth[4:] = light
         at = rng.multivariate_normal(truth, covariance)
         at[0] = truth[0]
-        found.append(clip._Answer(f"shot_{i}.png", at, covariance, [(0, [3])], ""))
+        found.append(clip._Answer(f"shot_{i}.png", at, covariance, [(0, [3])], "", 0.1))
     return found, path
 
 
@@ -105,6 +105,17 @@ def test_what_a_frame_leaves_open_it_does_not_tell():
     found[0] = found[0]._replace(at=wrong, covariance=sure, open_=[(0, [3]), (GAIN, [])])
     whole = concluded(found).combined["exposure*weight"]
     assert whole.value == pytest.approx(0.035, rel=0.05)
+
+
+def test_the_next_frame_looks_near_the_one_that_is_explained_best():
+    found, _ = answers(6, 3)
+    assert clip._so_far([]) is None
+    found[0] = found[0]._replace(noise=0.05)
+    found[1] = found[1]._replace(noise=0.01, message="no rays were found")
+    like = clip._so_far(found)
+    assert np.isnan(like[0])
+    np.testing.assert_array_equal(like[1:], found[0].at[1:4])
+    assert clip._so_far(found[1:2]) is None
 
 
 def test_a_frame_that_disagrees_is_left_out_and_named():
