@@ -343,21 +343,21 @@ def test_what_rounding_alone_is_left_of_is_looked_around_once(monkeypatch):
     z[LIGHT_X] += 2 / SIZE[1]
     held = dataclasses.replace(turns, free=turns.free & (np.arange(len(z)) != LIGHT_X))
     assert not elsewhere.solved(held, begun(held, picture, z)[1]).explained
-    asked, around, look = [], [], beside.looked_around
+    asked, times, look = [], [], beside.looked_around
     monkeypatch.setattr(elsewhere, "seen_clearly", lambda *a: asked.append(a[-1]) or [])
-    monkeypatch.setattr(around, "looked_around", lambda place: around.append(1) or look(place))
+    monkeypatch.setattr(around, "looked_around", lambda place: times.append(1) or look(place))
     _, there, _ = around.best_around(turns, [[read]], around=True)
     assert np.abs(there.point.coordinates - truth)[LIGHT_X] < 0.1 / SIZE[1]
-    assert len(around) == 1
+    assert len(times) == 1
     assert asked == [False]
     # Next to texture rays would not tell.
     asked.clear()
     around.best_around(dataclasses.replace(turns, texture=2.0), [[read]], around=True)
     assert not asked
-    around.clear()
+    times.clear()
     around.best_around(turns, [[read]], around=False)
     assert not asked
-    assert not around
+    assert not times
 
 
 @pytest.mark.usefixtures("single_precision")
