@@ -12,9 +12,10 @@ import numpy as np
 
 from godfit.observation import Picture
 
+# The size of a light pass that is told from the picture's own.
 HALF = 0.5
-# Third differences, in steps of rounding, that rounding alone does not make, and so large that
-# objects' edges do, no light.
+# Third differences, in steps of rounding, that one rounding does not make and two seldom do, and so
+# large that objects' edges do, no light.
 LEAST, MOST = 4.01, 12.0
 # Bends that tell, least: at every other pixel more than twice as many as at the others, which
 # chance makes of one in a thousand; and in all where there is such a share of them at the others.

@@ -29,7 +29,7 @@ class Window(NamedTuple):
     @staticmethod
     def about(light: Float[Array, " 2"], size: tuple[int, int]) -> Window:
         """The one about a light (texture coordinates) that lies on the mask of ``size``."""
-        side = -(-int(SIDE * size[0]) // CELL) * CELL
+        side = _side(size)
         shape = min(side, size[0]), min(side, size[1])
         middle = jnp.stack([(1 - light[1]) * size[0], light[0] * size[1]])
         first = jnp.round(middle - jnp.array(shape) / 2)
@@ -39,10 +39,10 @@ class Window(NamedTuple):
     @staticmethod
     def holds(reach: Float[Array, ""], size: tuple[int, int]) -> Bool[Array, ""]:
         """Whether all that lies within ``reach`` texels of a light does in its window."""
-        side = -(-int(SIDE * size[0]) // CELL) * CELL
-        return reach + MARGIN < side / 2
+        return reach + MARGIN < _side(size) / 2
 
     def cut(self, mask: Float[Array, "h w"]) -> Float[Array, "rows columns"]:
+        """What of a mask lies in it."""
         return jax.lax.dynamic_slice(mask, self.corner, self.shape)
 
     def dark_around(self, part: Float[Array, "rows columns *c"]) -> Float[Array, "rows columns *c"]:
@@ -71,3 +71,8 @@ class Window(NamedTuple):
         """Columns and rows of the picture as those of the part."""
         first = self.corner[::-1].astype(points.dtype)
         return points - first.reshape((1,) * (points.ndim - 1) + (2,))
+
+
+def _side(size: tuple[int, int]) -> int:
+    """Texels of a window's side, where the mask of ``size`` has as many."""
+    return -(-int(SIDE * size[0]) // CELL) * CELL

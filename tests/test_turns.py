@@ -385,9 +385,11 @@ def test_what_is_explained_may_leave_a_few_values(terms):
         read = Read.of(Point(z, cost * len(levels) / 24, True, 0), picture.mask, moved)
         return beside.Place(turns, read, (read,), {}, {}).explained
 
+    # Of the sum of two roundings nine tenths nearly reach the limit.
+    few = 0.04 if terms == 1 else 0.005
     assert explained(0.0, 0.0, 1.0)
-    assert explained(0.005, 5.0, 2.4)
-    assert not explained(0.005, 5.0, 2.6)
+    assert explained(few, 5.0, 2.4)
+    assert not explained(few, 5.0, 2.6)
     assert not explained(0.2, 2.5, 1.0)
 
 
