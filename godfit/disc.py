@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from godfit.disc_mask import from_light, occluded, occluded_slopes
 from godfit.models import FAINTEST, AbstractModel, Mitchell, Vector
 from godfit.parameters import SCATTERING, Parameter, light_parameters
 from godfit.radial.geometric import is_zero
@@ -209,52 +210,18 @@ class DiscLight(AbstractModel):
     def occlusion(self, open_: Float[Array, "h w"], least: float = 0.0) -> Float[Array, "h w"]:
         """The mask that the light pass reads, with the disc's edge at ``least`` so wide, in
         texels. What is more than open, at the disc's rim, is as bright as the disc at most."""
-        return self._occluded(open_, (0, 0), open_.shape, least)
-
-    def _occluded(self, open_, corner, size, least=0.0):
-        """``occlusion`` of the part of a mask of ``size`` from ``corner`` on, (row, column)."""
-        _, edge, veil = self.shape
-        (h, w), cut = open_.shape, self.cut
-        wide = jnp.maximum(edge, least / size[0])
-        corner, size = [n * cut for n in corner], (size[0] * cut, size[1] * cut)
-        away = self._from_light((h * cut, w * cut), corner, size)[2].reshape(h, cut, w, cut)
-        disc = jax.nn.sigmoid((self.shape[0] - away) / wide).mean((1, 3))
-        return jnp.minimum(open_ * (veil + (1 - veil) * disc), 1.0)
+        whole = Window.whole((open_.shape[0], open_.shape[1]))
+        return occluded(self.light[0], self.shape, open_, whole, least, self.cut)
 
     def occlusion_slopes(self, open_: Float[Array, "h w"], least: float) -> Float[Array, "h w 5"]:
         """Derivatives of ``occlusion`` by the light's place and ``shape``, of texels that are not
-        cut: what parts of one do apart, an edge at ``least`` so wide does together. In closed form:
-        of a whole picture dual numbers of every part cost twenty times the sum over taps."""
-        return self._slopes(open_, (0, 0), open_.shape, least)
-
-    def _slopes(self, open_, corner, size, least):
-        """``occlusion_slopes`` of a part, as in ``_occluded``."""
-        radius, edge, veil = self.shape
-        (h, w), wide = size, jnp.maximum(edge, least / size[0])
-        x, y, away = self._from_light(open_.shape, corner, size)
-        disc = jax.nn.sigmoid((radius - away) / wide)
-        lit = open_ * (veil + (1 - veil) * disc)
-        by_radius = open_ * (1 - veil) * disc * (1 - disc) / wide
-        by_edge = -by_radius * (radius - away) / wide * (edge >= least / h)
-        slopes = [
-            by_radius * x * (w / h) / away, by_radius * y / away, by_radius, by_edge,
-            open_ * (1 - disc),
-        ]  # fmt: skip
-        return jnp.where(lit[..., None] > 1, 0.0, jnp.stack(slopes, -1))
+        cut, the edge at ``least`` so wide."""
+        whole = Window.whole((open_.shape[0], open_.shape[1]))
+        return occluded_slopes(self.light[0], self.shape, open_, whole, least)
 
     def away(self, size: tuple[int, int]) -> Float[Array, "h w"]:
         """How far from the light texels are, in picture heights."""
-        return self._from_light(size, (0, 0), size)[2]
-
-    def _from_light(self, part, corner, size):
-        """How far to the right and above (1, w), (h, 1) and how far (h, w) from the light texels
-        are, in picture heights, of a ``part`` of a mask of ``size`` from ``corner`` on."""
-        h, w = size
-        rows, columns = (jnp.arange(n, dtype=self.shape.dtype) for n in part)
-        x = (columns + corner[1] + 0.5) / w - self.light[0, 0]
-        y = 1 - (rows + corner[0] + 0.5) / h - self.light[0, 1]
-        x, y = (x * w / h)[None], y[:, None]
-        return x, y, jnp.sqrt(x**2 + y**2 + 1e-12)
+        return from_light(self.light[0], Window.whole(size))[2]
 
     def rim(self, size: tuple[int, int]) -> Bool[Array, "h w"]:
         """Texels that the disc's edge may cut."""
@@ -340,7 +307,7 @@ class DiscLight(AbstractModel):
         size, veil = open_.shape, self.shape[2]
         window = Window.about(self.light[0], size)
         part, there = window.cut(open_), window.at(at)
-        brighter = self._occluded(part, window.corner, size) - veil * part
+        brighter = occluded(self.light[0], self.shape, part, window, cut=self.cut) - veil * part
         brighter = window.dark_around(brighter)
 
         def under_it(first):
@@ -354,7 +321,7 @@ class DiscLight(AbstractModel):
             all_, disc = under_it(first)
             return (veil * all_ + disc,)
         (all_, disc), (by_all, by_disc) = _jacobian(under_it, first)
-        changes = self._slopes(part, window.corner, size, SOFT)
+        changes = occluded_slopes(self.light[0], self.shape, part, window, SOFT)
         changes = window.dark_around(changes.at[..., 4].add(-part))
         near = eqx.tree_at(lambda m: m.light, self.shading, window.light(self.light))
         by_rest = near.light_pass(changes, there, method)

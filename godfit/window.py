@@ -37,6 +37,16 @@ class Window(NamedTuple):
         return Window(jnp.clip(first, 0, last).astype(jnp.int32), shape, size)
 
     @staticmethod
+    def whole(size: tuple[int, int]) -> Window:
+        """All of a mask of ``size``."""
+        return Window(jnp.zeros(2, jnp.int32), size, size)
+
+    def cut_into(self, parts: int) -> Window:
+        """The same of a mask with so many times as many texels a side."""
+        (rows, columns), (h, w) = self.shape, self.size
+        return Window(self.corner * parts, (rows * parts, columns * parts), (h * parts, w * parts))
+
+    @staticmethod
     def holds(reach: Float[Array, ""], size: tuple[int, int]) -> Bool[Array, ""]:
         """Whether all that lies within ``reach`` texels of a light does in its window."""
         return reach + MARGIN < _side(size) / 2
