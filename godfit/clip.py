@@ -224,8 +224,7 @@ def _information(answer: _Answer) -> np.ndarray:
     does, and of frames alike, which vary alike, the mean is the same."""
     block, slopes = answer.covariance[:SHARED, :SHARED], _slopes(answer.at)
     variance = np.diag(slopes @ block @ slopes.T)
-    told = answer.told
-    return np.diag(np.where(told, 1 / np.where(told, variance, 1.0), 0.0))
+    return np.diag(np.where(answer.told, 1 / np.where(answer.told, variance, 1.0), 0.0))
 
 
 def _pooled(answers: list[_Answer]) -> Pool:
@@ -264,7 +263,7 @@ def _concluded(
 ) -> ClipResult:
     pool = _pooled(answers)
     told = np.isfinite(np.diag(pool.covariance))
-    agrees = pool.agrees & [_information(a).any() for a in answers]
+    agrees = pool.agrees & [a.told.any() for a in answers]
     first = answers[int(agrees.argmax())]
     spread = np.zeros((SHARED + 2, SHARED + 2))
     spread[:SHARED, :SHARED] = np.where(told[:, None] & told, pool.covariance, 0.0)

@@ -310,11 +310,13 @@ class DiscLight(AbstractModel):
         brighter = occluded(self.light[0], self.shape, part, window, cut=self.cut) - veil * part
         brighter = window.dark_around(brighter)
 
+        def near(shading, part):
+            shading = eqx.tree_at(lambda m: m.light, shading, window.light(shading.light))
+            return shading.light_pass(part, there, method)
+
         def under_it(first):
             shading = self._lit_by(first)
-            near = eqx.tree_at(lambda m: m.light, shading, window.light(shading.light))
-            disc = near.light_pass(brighter, there, method)
-            return shading.light_pass(open_, at, method), disc
+            return shading.light_pass(open_, at, method), near(shading, brighter)
 
         first = self._numbers[:6]
         if not slopes:
@@ -323,9 +325,7 @@ class DiscLight(AbstractModel):
         (all_, disc), (by_all, by_disc) = _jacobian(under_it, first)
         changes = occluded_slopes(self.light[0], self.shape, part, window, SOFT)
         changes = window.dark_around(changes.at[..., 4].add(-part))
-        near = eqx.tree_at(lambda m: m.light, self.shading, window.light(self.light))
-        by_rest = near.light_pass(changes, there, method)
-        by_rest = by_rest.at[..., 4].add(all_)
+        by_rest = near(self.shading, changes).at[..., 4].add(all_)
         return veil * all_ + disc, veil * by_all + by_disc, by_rest
 
     def cut_into(self, parts: int) -> DiscLight:
