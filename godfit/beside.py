@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from godfit.disc import DENSITY, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS
-from godfit.explained import predicted
+from godfit.points import predicted
 from godfit.side_by_side import side_by_side
 from godfit.turns import Read, Turns
 

@@ -16,15 +16,16 @@ import functools
 import itertools
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from scipy import ndimage
 from scipy.special import factorial
 
 from godfit.disc import DENSITY, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, VEIL, DiscLight, terms
 from godfit.disc_sums import best_discs, disc_sums, is_clear, open_sums
+from godfit.kept import kept
 from godfit.observation import LEVELS, shrink
 from godfit.occluders import light_read, texels_of
+from godfit.points import model_at
 from godfit.side_by_side import side_by_side
 from godfit.turns import Read, Turns
 
@@ -129,7 +130,7 @@ def _seen(
     """The same by rays of one kind, from pixels that are ``usable`` (h, w)."""
     z, free = read.point.coordinates, turns.free
     h, w = read.mask.shape[:2]
-    at = turns.model.moved(z, turns.held)
+    at = model_at(z, turns.held, turns.model)
     starts = _starts(turns, read, at, usable, shaded)
     column, row = np.asarray(at.light[0], np.float64) * (w, -h) + (-0.5, h - 0.5)
     dense = DENSE / h
@@ -338,7 +339,7 @@ def _taps(turns: Turns, z: np.ndarray, density: float, kappa: float):
     return np.append(0.0, t), np.append(own, c) * (share * LEVELS)
 
 
-@eqx.filter_jit
+@kept
 def _taps_of(z, held, model: DiscLight):
     (taps,) = model.moved(z, held).taps
     return taps.own, taps.t, taps.c

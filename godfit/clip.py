@@ -15,7 +15,6 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
 
@@ -25,6 +24,7 @@ from godfit.errors import InputError
 from godfit.estimates import estimates
 from godfit.image import Image
 from godfit.inputs import Source
+from godfit.kept import kept
 from godfit.models import FAINTEST, AbstractModel, Vector
 from godfit.observation import shrink
 from godfit.parameters import SCATTERING
@@ -190,7 +190,7 @@ def _answer(name: str, found: Found) -> _Answer:
     return _Answer(name, at, covariance, open_, found.objection, found.settled.sigma)
 
 
-@eqx.filter_jit
+@kept
 def _of_the_shader(model: DiscLight, coordinates: Vector, held: Vector):
     """Coordinates (6,) of scattering and light and their derivatives (6, p) by those of a picture,
     whose gain is without the veil's share."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from godfit.kept import kept
 from godfit.models import AbstractModel, Vector
 from godfit.result import Estimate
 
@@ -75,7 +75,7 @@ def held_at(held: np.ndarray, opened: list[int], values: np.ndarray) -> np.ndarr
     return np.where(np.isin(np.arange(len(held)), opened), values, held).astype(np.float32)
 
 
-@eqx.filter_jit
+@kept
 def _parameters(model: AbstractModel, coordinates: Vector, held: Vector):
     """The model at ``coordinates``, its parameters (p,), their derivatives (p, p) by coordinate."""
 

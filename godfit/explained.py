@@ -8,15 +8,16 @@ import numpy as np
 from scipy import ndimage
 
 from godfit.disc import TERMS, DiscLight, terms
-from godfit.kept import kept
 from godfit.observation import Picture, shrink
+from godfit.points import predicted
 
 # Longest side of the copy on which it is asked how much the light explains: fine texture is gone.
 COPY = 60
 # What varies less than so many levels is rounding.
 VARIES = 0.1
-# Pixels about which texture is averaged out.
-AROUND = 6
+# Pixels about which texture is averaged out, and of how many, in bands of how many rows, it is
+# asked.
+AROUND, FEW, BAND = 6, 1 << 19, 36
 
 
 def explained(z, held, model: DiscLight, small: Picture) -> float:
@@ -83,20 +84,25 @@ def _off_background(goal: np.ndarray, cells: np.ndarray, size: tuple[int, int]) 
 def grain(picture: Picture) -> float:
     """The texture of what is open, in levels: a robust deviation from the mean around. No light
     explains it, and what is off by as much is not foreign."""
-    known = (picture.valid & ~picture.clipped).astype(np.float32)
+    known, levels = (_bands(each) for each in (picture.valid & ~picture.clipped, picture.levels))
     if np.count_nonzero(known) < 100:
         return 0.0
-    share = np.maximum(ndimage.gaussian_filter(known, AROUND), 1e-3)[..., None]
-    levels = picture.levels * known[..., None]
-    mean = ndimage.gaussian_filter(levels, (AROUND, AROUND, 0)) / share
+    weight = known.astype(np.float32)
+    within = (0, AROUND, AROUND)
+    share = np.maximum(ndimage.gaussian_filter(weight, within), 1e-3)[..., None]
+    mean = ndimage.gaussian_filter(levels * weight[..., None], (*within, 0)) / share
     # Beside what is unknown the mean is one-sided.
-    inner = np.asarray(ndimage.binary_erosion(known > 0, iterations=2))
-    off = np.abs(picture.levels - mean)[inner if inner.any() else known > 0]
+    beside = ndimage.generate_binary_structure(2, 1)[None]
+    inner = np.asarray(ndimage.binary_erosion(known, beside, iterations=2))
+    off = np.abs(levels - mean)[np.where(inner.any(), inner, known)]
     return float(np.median(off) / 0.6745)
 
 
-@kept
-def predicted(z, held, model, seen):
-    """(n c,) levels at the pixels seen, every pixel's channels together, for coordinates ``z``
-    (p,)."""
-    return seen.predict(model.moved(z, held))
+def _bands(values: np.ndarray) -> np.ndarray:
+    """(bands, rows, w, ...) some of ``values`` (h, w, ...), BAND rows each: all, in one, where there
+    are no more than FEW."""
+    h, w = values.shape[:2]
+    if h * w <= FEW:
+        return values[None]
+    each = values[: h // BAND * BAND].reshape(h // BAND, BAND, *values.shape[1:])
+    return each[:: -(-h * w // FEW)]

@@ -9,10 +9,12 @@ Comm. ACM 24 (1981), 381): of many circles through three of its pixels, those th
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 
-from godfit.observation import LEVELS, Picture
+from godfit.native import compiled
+from godfit.observation import LEVELS, Picture, all_channels
 from godfit.segment import grown
 
 # Circles that are tried, kept, and the share of the outline that these pass at least.
@@ -35,7 +37,7 @@ STEPS = 64
 def circles(picture: Picture, seed: int, keep: int = KEEP) -> np.ndarray:
     """(n, 3) circles that the outlines of where any channel is clipped and of where all are lie on,
     at most so many (``keep``) of each: middles in texture coordinates, radii in picture heights."""
-    white = np.all(picture.levels >= LEVELS - picture.half, -1)
+    white = all_channels(picture.levels >= LEVELS - picture.half)
     outlines = (picture.clipped, picture.levels.max(-1)), (white, picture.levels.min(-1))
     each = [_around(picture, *outline, seed, keep) for outline in outlines]
     return np.concatenate(each if np.any(white != picture.clipped) else each[:1])
@@ -60,10 +62,7 @@ def _around(
     outside = np.maximum(np.abs(u * h / w - 0.5), np.abs(v - 0.5)) > 0.5 + MARGIN
     # None of a triple on a line, or of one pixel twice, is a number.
     found = found[(RADII[0] < radius) & (radius < RADII[1]) & ~outside]
-    near = max(NEAR / h, SHARE)
-    passed = np.zeros(len(found), int)
-    for i, (u, v, radius) in enumerate(found):
-        passed[i] = np.count_nonzero(np.abs(np.hypot(x - u, y - v) - radius) < near)
+    passed = _passed(found, x, y, max(NEAR / h, SHARE))
     kept: list[np.ndarray] = []
     for i in np.argsort(-passed):
         if len(kept) == keep or passed[i] < LEAST * len(x):
@@ -71,6 +70,17 @@ def _around(
         if all(np.abs(found[i] - other).max() > 0.05 for other in kept):
             kept.append(found[i])
     return np.array(kept).reshape(-1, 3) * (h / w, 1, 1)
+
+
+@compiled
+def _passed(circles: np.ndarray, x: np.ndarray, y: np.ndarray, near: float) -> np.ndarray:
+    """(n,) how many of the places ``x``, ``y`` each of ``circles`` (n, 3) passes."""
+    passed = np.zeros(len(circles), np.int64)
+    for i in range(len(circles)):
+        u, v, radius = circles[i]
+        for j in range(len(x)):
+            passed[i] += abs(math.sqrt((x[j] - u) ** 2 + (y[j] - v) ** 2) - radius) < near
+    return passed
 
 
 def _through(x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -6,6 +6,9 @@ lowering what comes of it, is then a third of a short command. Here the executab
 function, the shapes and settings that it was made for, this program's sources, the versions of JAX
 and numba, the processor and the flags of XLA. Whatever cannot be kept, or read again, is compiled.
 
+To read one takes a twentieth of a second, with nothing to wait for but the file: those that were
+needed last time on a like occasion can be read before anybody asks for them.
+
 An executable finds the functions that it calls by their names. Those of ``radial/foreign.py`` are
 known to XLA, and LAPACK's to JAX, only when something that needs them has been lowered: here they
 are made known first.
@@ -13,6 +16,7 @@ are made known first.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import os
@@ -23,6 +27,7 @@ import secrets
 import sys
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future, wait
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -44,6 +49,10 @@ QUICK = {"xla_cpu_use_fusion_emitters": False}
 _folder: Path | None = None
 _programs: dict[Any, Callable[..., Any]] = {}
 _locks: dict[Any, threading.Lock] = {}
+# By the names of their files: those that are read ahead, and those that were needed, in order.
+_coming: dict[str, Future[Callable[..., Any] | None]] = {}
+_needed: dict[str, None] = {}
+_occasion = ""
 
 
 def keep_programs() -> None:
@@ -56,16 +65,49 @@ def keep_programs() -> None:
 
 def forget_programs() -> None:
     """Keep none from now on; those in memory are let go of."""
-    global _folder
-    _folder = None
+    global _folder, _occasion
+    _folder, _occasion = None, ""
     _programs.clear()
     _locks.clear()
+    _coming.clear()
+    _needed.clear()
     _in_memory.cache_clear()
+
+
+def read_ahead(occasion: str) -> None:
+    """Read the programs that were needed on the last such occasion, in their order. For a thread of
+    its own, once all is imported that programs call."""
+    global _occasion
+    _occasion = occasion
+    try:
+        names = _notes().read_text().split()
+    except OSError:
+        # The first of its kind.
+        return
+    _coming.update((name, Future()) for name in names)
+    for name in names:
+        coming = _coming[name]
+        if coming.set_running_or_notify_cancel():
+            coming.set_result(_loaded(_folder / name) if _folder else None)
+
+
+def remember() -> None:
+    """What was needed on this occasion, for the next; nothing is read ahead any more."""
+    wait([coming for coming in _coming.values() if not coming.cancel()])
+    with contextlib.suppress(OSError):
+        if _occasion and _folder is not None and _folder.is_dir():
+            atomic_write(_notes(), "\n".join(_needed).encode())
+
+
+def _notes() -> Path:
+    name = "needed-" + hashlib.sha256(_occasion.encode()).hexdigest()[:16]
+    return (_folder or Path()) / name
 
 
 def kept(function: Callable[..., Any]) -> Callable[..., Any]:
     """``jax.jit`` of a function of arrays, modules of them, and settings, which are all else; its
-    results are arrays, in tuples or not. Once ``keep_programs`` was called the program is kept."""
+    results are arrays, in tuples and modules or not. Once ``keep_programs`` was called the program
+    is kept."""
 
     @functools.wraps(function)
     def call(*args: Any) -> Any:
@@ -121,17 +163,31 @@ def _on_disk(folder: Path, key: tuple, dynamic: list[Any]) -> tuple[Callable[...
         program = _in_memory(key)
         return program, program(*dynamic)
     file = folder / hashlib.sha256(name.encode()).hexdigest()
+    _needed[file.name] = None
     found = _read(file, dynamic)
     if found is None:
-        flat = _flat(key)
+        flat, made = _flat(key), []
+
+        def leaves(*dynamic):
+            result = flat(*dynamic)
+            made[:] = [jax.tree.map(lambda _: 0, result)]
+            return jax.tree.leaves(result)
+
         # An executable that JAX takes from its own cache is not whole when it is written once more:
         # by this name it has none.
-        flat.__name__ += secrets.token_hex(8)
-        lowered = jax.jit(flat).lower(*dynamic)
+        leaves.__name__ = flat.__name__ + secrets.token_hex(8)
+        lowered = jax.jit(leaves).lower(*dynamic)
         program = _compiled(lowered)
-        _write(file, program, sorted(set(CALLED.findall(lowered.as_text()))))
+        _write(file, program, made[0], sorted(set(CALLED.findall(lowered.as_text()))))
+        program = _whole(program, made[0])
         found = program, program(*dynamic)
     return found
+
+
+def _whole(program: Callable[..., Any], like: Any) -> Callable[..., Any]:
+    """``program``, which gives leaves, with its results put together as they are in ``like``."""
+    structure = jax.tree.structure(like)
+    return lambda *dynamic: jax.tree.unflatten(structure, program(*dynamic))
 
 
 def _compiled(lowered: Any) -> Any:
@@ -143,28 +199,35 @@ def _compiled(lowered: Any) -> Any:
 
 
 def _read(file: Path, dynamic: list[Any]) -> tuple[Callable[..., Any], Any] | None:
-    from jax.experimental.serialize_executable import deserialize_and_load
-
+    coming = _coming.pop(file.name, None)
+    program = _loaded(file) if coming is None or coming.cancel() else coming.result()
     try:
-        called, *parts = pickle.loads(file.read_bytes())
-        if not all(map(_made_known, called)):
-            return None
-        program = deserialize_and_load(*parts)
         # What is missing in it is missed when it runs.
-        return program, jax.block_until_ready(program(*dynamic))
+        return program and (program, jax.block_until_ready(program(*dynamic)))
     except Exception:
-        # There is none, or it is of another version, or half of one: it is made anew.
         return None
 
 
-def _write(file: Path, program: Any, called: list[str]) -> None:
+def _loaded(file: Path) -> Callable[..., Any] | None:
+    """The program of a file; None if there is none, or it is of another version, or half of one: it
+    is made anew."""
+    from jax.experimental.serialize_executable import deserialize_and_load
+
+    try:
+        called, like, *parts = pickle.loads(file.read_bytes())
+        return _whole(deserialize_and_load(*parts), like) if all(map(_made_known, called)) else None
+    except Exception:
+        return None
+
+
+def _write(file: Path, program: Any, like: Any, called: list[str]) -> None:
     """All of it or nothing, and nothing where it could not be used again."""
     from jax.experimental.serialize_executable import serialize
 
     try:
         if not all(map(_made_known, called)):
             return
-        content = pickle.dumps((called, *serialize(program)))
+        content = pickle.dumps((called, like, *serialize(program)))
         file.parent.mkdir(parents=True, exist_ok=True)
         atomic_write(file, content)
     except Exception:

@@ -16,12 +16,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from scipy import sparse
 
 from godfit.disc import DARK, DiscLight, terms
+from godfit.kept import kept
 from godfit.lasso import Along, lasso
 from godfit.observation import LEVELS, Picture
 from godfit.texel_sums import texel_sums
@@ -116,7 +116,8 @@ def asked(
         return None
     cell = _cells(texels, prior, rim)
     rng = np.random.default_rng(seed)
-    pixels = np.sort(rng.permutation(usable)[: min(rows, _affordable(model, picture.size, (h, w)))])
+    count = min(rows, len(usable), _affordable(model, picture.size, (h, w)))
+    pixels = np.sort(rng.choice(usable, count, replace=False, shuffle=False))
     light, weights = light_read(model, picture, pixels)
     known, design = _sums(model, pixels, picture, texels, cell)
     goal = (light - known * LEVELS).astype(np.float32)
@@ -191,9 +192,17 @@ def lit_by(model: DiscLight, size: tuple[int, int]) -> np.ndarray:
     return np.asarray(_disc_of(model, size)[1])
 
 
-@eqx.filter_jit
+@kept
 def _disc_of(model: DiscLight, size: tuple[int, int]):
     return model.rim(size), model.occlusion(jnp.ones(size, jnp.float32)).astype(jnp.float32)
+
+
+@kept
+def _taps_of(model: DiscLight):
+    """Places and weights, the pixel's own first."""
+    (taps,) = model.taps
+    own = jnp.full(1, taps.own, taps.c.dtype)
+    return jnp.append(jnp.zeros_like(own), taps.t), jnp.append(own, taps.c)
 
 
 def _affordable(model: DiscLight, size: tuple[int, int], low: tuple[int, int]) -> int:
@@ -219,14 +228,12 @@ def _sums(
         starts = np.arange(len(pixels) + 1) * 4
         shape = (len(pixels), len(texels))
         mixed = sparse.csr_matrix((share.ravel(), column.ravel(), starts), shape)
-    (taps,) = model.taps
     place = np.full(picture.mask.size, -1, np.int32)
     place[unknown] = cell
     count = int(cell.max()) + 1
     light = np.asarray(model.light[0], np.float64) * (low[1], -low[0]) + (-0.5, low[0] - 0.5)
     lit = lit_by(model, low).ravel()
-    t, c = (np.asarray(a, np.float64) for a in (taps.t, taps.c))
-    t, c = np.append(0.0, t), np.append(float(taps.own), c)
+    t, c = (np.asarray(a, np.float64) for a in _taps_of(model))
     values = np.asarray(picture.mask, np.float32).ravel()
     known, starts, read, share = texel_sums(texels, *low, light, t, c, lit, values, place, count)
     shape = (len(texels), count)

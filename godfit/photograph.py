@@ -20,8 +20,10 @@ from godfit.errors import InputError
 from godfit.explained import explained_of_cells, grain
 from godfit.image import Image
 from godfit.inference import evidence
+from godfit.kept import kept
 from godfit.models import Mitchell
 from godfit.observation import LEVELS, Observation, Picture
+from godfit.points import occlusion_of
 from godfit.segment import grown
 from godfit.settling import settle
 from godfit.side_by_side import side_by_side
@@ -82,7 +84,7 @@ def found_in(
     points = _climbed(begun, free, held, model, small, seed)
     say("light and bright-pass in turn")
     z, mask = _in_turn(points[0].coordinates, free, held, model, picture, scale, seed)
-    picture = dataclasses.replace(picture, mask=mask)
+    picture = picture.with_mask(mask)
     model = _template(shading, picture.channels, FINER, least)
     more = (TERMS[FINER] - TERMS[DEGREE]) * picture.channels
     z, held, free = (
@@ -152,7 +154,7 @@ def _begun(
     softness, begun = given.get("softness", SOFT), []
     for threshold in thresholds:
         here = eqx.tree_at(lambda m: m.shape, model, jnp.array([threshold, softness, 0.0]))
-        open_ = np.asarray(here.occlusion(jnp.asarray(small.mask)))
+        open_ = np.asarray(occlusion_of(here, small.mask))
         for start in screen_disc.starts(
             small, open_, len(model.background), lights, seed, STARTS, EVERYWHERE
         ):
@@ -267,6 +269,6 @@ def _unlit(model: BrightPass, levels: np.ndarray, light: np.ndarray) -> np.ndarr
     return back / np.float32(model.convention.background_gain)
 
 
-@eqx.filter_jit
+@kept
 def _light_pass(z, held, model: BrightPass, mask, size: tuple[int, int]):
     return model.moved(z, held).light_pass(mask, size=size)

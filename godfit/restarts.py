@@ -95,7 +95,7 @@ def _other_place(
 
     def moved(by: tuple[int, int]) -> Picture:
         mask = ndimage.shift(picture.mask, (*by, 0)[: picture.mask.ndim], order=0, mode="nearest")
-        return dataclasses.replace(picture, mask=mask)
+        return picture.with_mask(mask)
 
     here = _anew(found, picture.small, begin, seed).sigma
     place = edges_agree(grey(picture.levels), grey(picture.mask))

@@ -7,12 +7,12 @@ import functools
 import os
 from typing import TYPE_CHECKING
 
-import jax.numpy as jnp
 import numpy as np
 
 from godfit.image import decode
 from godfit.models import AbstractModel
 from godfit.observation import LEVELS, Picture
+from godfit.points import occlusion_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -90,7 +90,7 @@ class FitResult:
     @property
     def mask(self) -> np.ndarray:
         """(h, w) or (h, w, 3): the occlusion mask that the light pass reads, given or estimated."""
-        return np.asarray(self.model.occlusion(jnp.asarray(self.picture.mask)))
+        return np.asarray(occlusion_of(self.model, np.asarray(self.picture.mask)))
 
     @property
     def residual(self) -> np.ndarray:

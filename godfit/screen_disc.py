@@ -12,13 +12,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from scipy import ndimage
 
 from godfit.disc import powers
+from godfit.kept import kept
 from godfit.observation import LEVELS, Picture, shrink
 from godfit.screen import DENSITIES, STEPS, read_rays
 from godfit.segment import regions
@@ -93,7 +93,7 @@ def _bright(picture: Picture, keep: int = 6) -> np.ndarray:
     return np.array(found[:keep]).reshape(-1, 2)
 
 
-@eqx.filter_jit
+@kept
 def _search(rays, away, radii, along, basis, goal):
     """Cost and the coefficients of veil and disc, for every light, radius and shape.
 

@@ -12,17 +12,18 @@ import itertools
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from scipy import ndimage
 
 from godfit import glare, screen_disc
 from godfit.disc import EDGE, FIRST, TERMS, DiscLight, terms
-from godfit.explained import explained, grain, predicted
+from godfit.explained import explained, grain
 from godfit.image import Image
+from godfit.kept import kept
 from godfit.likelihood import log_likelihood
 from godfit.models import Mitchell
-from godfit.observation import LEVELS, Observation, Picture
+from godfit.observation import LEVELS, Observation, Picture, all_channels
+from godfit.points import coordinates_at, predicted
 from godfit.segment import Segments, grown, light_colour, panels, segments
 from godfit.side_by_side import side_by_side
 from godfit.solver import Point, solve
@@ -224,12 +225,10 @@ def look(
         ended = side_by_side(finely, zip(ended, coarse, strict=True))
     both = sorted(zip(ended, coarse, strict=True), key=lambda each: each[0].point.cost)
     best = both[0][0]
-    share = explained(
-        best.point.coordinates, still, model, dataclasses.replace(copy, mask=best.mask)
-    )
+    share = explained(best.point.coordinates, still, model, copy.with_mask(best.mask))
     ends = [
         End(
-            np.asarray(model.moved(read.point.coordinates, still).coordinates(), np.float32),
+            np.asarray(coordinates_at(read.point.coordinates, still, model), np.float32),
             enlarged(read.mask, copy.mask, copy.mask),
             mask,
         )
@@ -290,7 +289,7 @@ def _likeliest(
 def _reaching_into_glare(small: Picture) -> list[np.ndarray]:
     """What may be open, (h, w) each: as it seems, and with objects that reach so far into glare,
     where all channels are clipped and nothing is seen of them."""
-    glare = np.all(small.levels >= LEVELS - small.half - 0.5, -1)
+    glare = all_channels(small.levels >= LEVELS - small.half - 0.5)
     solid = small.mask < 0.5
     masks = [small.mask]
     for growth in GROWTHS:
@@ -377,7 +376,7 @@ def with_background(
     light = np.asarray(_light(z, held, model, seen))
     k, c = model.background.shape
     lo, hi = (np.asarray(b).reshape(-1, c) for b in (seen.lo, seen.hi))
-    known = np.isfinite(hi).all(1)
+    known = all_channels(np.isfinite(hi))
     if not known.any():
         return z
     basis = terms(np.asarray(seen.pixels), seen.size, k)[known]
@@ -393,7 +392,7 @@ def with_background(
     return z.astype(np.float32)
 
 
-@eqx.filter_jit
+@kept
 def _light(z, held, model: DiscLight, seen: Observation):
     at = model.moved(z, held)
     return at.light_pass(seen.mask, size=seen.size, pixels=seen.pixels)

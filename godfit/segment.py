@@ -12,10 +12,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial.polynomial import polygrid2d
 from scipy import ndimage
 
-from godfit.disc import TERMS, powers
-from godfit.observation import LEVELS
+from godfit.disc import POWERS, TERMS, powers
+from godfit.observation import LEVELS, any_channel
 
 # A difference of channels this many levels off, or this many times its own spread, is another
 # colour.
@@ -89,10 +90,10 @@ def field(
         width = max(0.7 * width, 3 * spread, 1.0)
     rows, columns = np.arange(h), np.arange(w)
     px, py = 2 * (columns + 0.5) / w - 1, 1 - 2 * (rows + 0.5) / h
-    across, down = np.meshgrid(px, py)
-    whole = np.zeros((h, w))
-    for coefficient, power in zip(coefficients, powers(across, down, TERMS[degree]), strict=False):
-        whole += coefficient * power
+    grid = np.zeros((degree + 1, degree + 1))
+    for coefficient, (i, j) in zip(coefficients, POWERS[: TERMS[degree]], strict=False):
+        grid[j, i] = coefficient
+    whole = polygrid2d(py, px, grid)
     slope = 0.0 if along is None else float(coefficients[-1])
     return Field(whole if along is None else whole + slope * along, max(spread, 0.3), slope)
 
@@ -112,13 +113,17 @@ def light_colour(levels: np.ndarray, half: float, valid: np.ndarray) -> np.ndarr
             return white
         one, other = levels[..., a].astype(np.float64), levels[..., b].astype(np.float64)
         found, plain = field(one, known, 2, other), field(one - other, known, 2)
-        near = np.abs(one - found.whole)[known] < NEAR * max(1.0, found.slope)
-        if found.slope <= 0 or near.mean() < MOST:
+        near = _share(np.abs(one - found.whole) < NEAR * max(1.0, found.slope), known)
+        if found.slope <= 0 or near < MOST:
             return white
         # A background that varies as the light does passes for a colour of the light's.
-        if near.mean() > (np.abs(one - other - plain.whole)[known] < NEAR).mean() + MORE:
+        if near > _share(np.abs(one - other - plain.whole) < NEAR, known) + MORE:
             colour[a] = found.slope
     return colour if np.abs(colour - 1).max() > COLOURED else white
+
+
+def _share(region: np.ndarray, of: np.ndarray) -> float:
+    return np.count_nonzero(region & of) / np.count_nonzero(of)
 
 
 def segments(
@@ -149,7 +154,7 @@ def segments(
         wrong = np.where(more, off > limit, np.where(less, off < -limit, wrong))
         other |= wrong & ~neither
     other = _without_specks(other & valid, SPECK if noise < 1 else 30 * SPECK)
-    doubtful = _cut_off(levels, other, valid, top.any(-1), max(SHARP, 4 * noise))
+    doubtful = _cut_off(levels, other, valid, any_channel(top), max(SHARP, 4 * noise))
     return Segments(other, doubtful, noise, variation)
 
 

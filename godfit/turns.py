@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from godfit.disc import DiscLight
-from godfit.explained import predicted
 from godfit.likelihood import log_likelihood
 from godfit.observation import Observation, Picture, shrink
 from godfit.occluders import asked, price
+from godfit.points import model_at, predicted
 from godfit.solver import Point, linearise, solve
 
 # Solves of one noise, most, their steps, the relative changes that end them, and the share of the
@@ -98,9 +97,9 @@ class Turns:
     def shaded(self, read: Read) -> Read:
         """With the shadows that suit the light best, and the light moved along on its tangent."""
         z = read.point.coordinates
-        here = dataclasses.replace(self.picture, mask=read.mask)
+        here = self.picture.with_mask(read.mask)
         # What is more than open at the rim would hold the radius.
-        even = dataclasses.replace(here, mask=np.minimum(here.mask, 1))
+        even = here.with_mask(np.minimum(here.mask, 1))
         unknown = shrink(self.unknown.astype(np.float32), read.mask.shape[:2]) > 0
         scale = self.model.scales(z)
 
@@ -109,7 +108,7 @@ class Turns:
             return np.asarray(jacobian).reshape(len(z), len(pixels), -1)[self.free]
 
         question = asked(
-            self.model.moved(z, self.held), here, unknown, read.thought, ROWS, self.seed,
+            model_at(z, self.held, self.model), here, unknown, read.thought, ROWS, self.seed,
             self.texture,
         )  # fmt: skip
         if question is None:
@@ -137,7 +136,7 @@ class Turns:
     def total(self, read: Read) -> float:
         """What a solve left and what the shadows cost."""
         share = len(read.seen.pixels) / (self.picture.size[0] * self.picture.size[1])
-        model = self.model.moved(read.point.coordinates, self.held)
+        model = model_at(read.point.coordinates, self.held, self.model)
         return read.point.cost + price(model, read.mask, read.thought, share)
 
     def turn(self, read: Read, sigma: float) -> Read:

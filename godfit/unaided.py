@@ -18,13 +18,14 @@ from godfit.disc import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEI
 from godfit.edge import hardened, softened
 from godfit.elsewhere import NEAR
 from godfit.errors import InputError
-from godfit.explained import grain, predicted
+from godfit.explained import grain
 from godfit.image import Image
 from godfit.inference import evidence
 from godfit.models import Mitchell
 from godfit.observation import Observation, Picture
 from godfit.occluders import lit_by
 from godfit.pass_size import HALF, pass_scale_of
+from godfit.points import model_at, predicted
 from godfit.settling import Settled, Tangent, settle
 from godfit.solver import Point, solve_tangent
 from godfit.turns import SOME, Read, Turns
@@ -143,7 +144,7 @@ def found_in(
         turns = hardened(turns, begin)
         read, doubts = turns.solved(begin, NEAR[-1]), []
     point, mask, seen, free, held = read.point, read.mask, read.seen, turns.free, turns.held
-    picture = dataclasses.replace(picture, mask=mask)
+    picture = picture.with_mask(mask)
     settled, tangent = settle(point.coordinates, model, seen, free, held, rounds=rounds)
     at = evidence(settled, tangent, seen).within(model.ranges(settled.coordinates))
     found = Found(model, picture, seen, settled, at, free, held, opened, False)
@@ -295,13 +296,13 @@ def _shift(
 
 def _out_of_sight(model: DiscLight, z: np.ndarray, held: np.ndarray, picture: Picture) -> bool:
     """Whether nothing in the picture is lit by more than the veil."""
-    lit = lit_by(model.moved(z, held), (picture.mask.shape[0], picture.mask.shape[1]))
+    lit = lit_by(model_at(z, held, model), (picture.mask.shape[0], picture.mask.shape[1]))
     return bool(lit.max() < SEEN * lit.min())
 
 
 def _hidden(model: DiscLight, z: np.ndarray, held: np.ndarray, picture: Picture) -> bool:
     """Whether less than a tenth of the light's outline lies where some channel can be read."""
-    at = model.moved(z, held)
+    at = model_at(z, held, model)
     h, w = picture.size
     (u, v), radius = np.asarray(at.light[0]), float(at.shape[0])
     turn = np.linspace(0, 2 * np.pi, 256, endpoint=False)

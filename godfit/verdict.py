@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from godfit import correlated, diagnostics
@@ -14,6 +13,7 @@ from godfit.inference import Evidence, Misfit, misfit
 from godfit.models import AbstractModel
 from godfit.noise import WITHIN_ROUNDING
 from godfit.observation import LEVELS, Observation, Picture
+from godfit.points import model_at
 from godfit.result import FitResult
 from godfit.settling import Settled, Tangent
 from godfit.solver import linearise
@@ -175,7 +175,7 @@ def _correlated(
     tangent = Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
     slope = correlated.slope_covariance(tangent, found.at.score, settled.sigma, seen)
     covariance, growth = correlated.widened(covariance, slope, found.free)
-    model = found.model.moved(jnp.asarray(settled.coordinates), jnp.asarray(found.held))
+    model = model_at(settled.coordinates, found.held, found.model)
     if found.inquire and (not left.like_noise or settled.sigma > 1):
         pixels = np.asarray(seen.pixels)
         if found.remedy is not None:

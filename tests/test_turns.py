@@ -12,11 +12,11 @@ from godfit import around, beside, elsewhere, glare, occluders
 from godfit import edge as edges
 from godfit import lasso as lasso_module
 from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, VEIL, DiscLight
-from godfit.explained import predicted
 from godfit.lasso import Along, lasso
 from godfit.models import Mitchell
 from godfit.observation import Picture
 from godfit.occluders import FLIP, PULL, _sums, asked, light_read, price
+from godfit.points import predicted
 from godfit.solver import Point
 from godfit.turns import Read, Turns
 

@@ -46,7 +46,7 @@ def compare(
     with working(quiet, verbose) as progress:
         from godfit import compare as comparing
 
-        made_ready(study.options, quiet, progress)
+        made_ready(study.options, quiet, progress, study.image.values.shape)
         found = comparing.compare(
             study.image, light=place, valid=study.valid, seed=seed, progress=progress,
             **study.options,

@@ -96,7 +96,7 @@ def fit(
             require()
         imported = time.perf_counter() - STARTED
         file = study.options.get("scene")
-        made_ready(study.options, quiet, progress)
+        made_ready(study.options, quiet, progress, study.image.values.shape)
         result = run(
             study.image, free=free, fix=fixed, start=started, valid=study.valid, seed=seed,
             progress=progress, **study.options,

@@ -51,7 +51,7 @@ def select(
         from godfit import select_report
         from godfit.select import select as climb
 
-        made_ready(study.options, quiet, progress)
+        made_ready(study.options, quiet, progress, study.image.values.shape)
         found = climb(
             study.image, light=place, valid=study.valid, seed=seed, progress=progress,
             **study.options,

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from godfit.image import Image
 
 NOT_CONVERGED = 3
+# Options for which there are other programs.
+SETTINGS = {"model", "shader", "samples", "lights", "pass_scale", "transfer", "bright_pass"}
 
 
 class Study(NamedTuple):
@@ -88,16 +90,22 @@ def working(quiet: bool, verbose: bool) -> Iterator[Progress]:
         progress("loading JAX")
         from godfit.allocator import keep_little
         from godfit.cache import keep_compiled
-        from godfit.kept import keep_programs
+        from godfit.kept import keep_programs, remember
 
         keep_little()
         keep_compiled()
         keep_programs()
-        yield progress
+        try:
+            yield progress
+        finally:
+            remember()
 
 
-def made_ready(options: dict[str, Any], quiet: bool, progress: Progress) -> None:
-    """Put the scene itself in the place of its file, and say what is assumed."""
+def made_ready(
+    options: dict[str, Any], quiet: bool, progress: Progress, size: tuple[int, ...] = ()
+) -> None:
+    """Put the scene itself in the place of its file, and say what is assumed. ``size`` is the
+    target's: for another one needs other programs."""
     if "scene" in options:
         from godfit.scene import read_scene
 
@@ -107,7 +115,9 @@ def made_ready(options: dict[str, Any], quiet: bool, progress: Progress) -> None
         say_assumed(options)
     # While XLA compiles or its programs run, which need the interpreter little.
     kernels = options.get("model", "mitchell") == "mitchell"
-    threading.Thread(target=_load_ahead, args=(kernels,), daemon=True).start()
+    settings = {name: options[name] for name in sorted(options) if name in SETTINGS}
+    occasion = repr((sys.argv[1:2], size, settings))
+    threading.Thread(target=_load_ahead, args=(kernels, occasion), daemon=True).start()
 
 
 def say_assumed(options: Mapping[str, Any]) -> None:
@@ -122,11 +132,14 @@ def say_assumed(options: Mapping[str, Any]) -> None:
         warn(f"{shader.name} publishes no default: {shader.samples} samples assumed")
 
 
-def _load_ahead(kernels: bool) -> None:
+def _load_ahead(kernels: bool, occasion: str) -> None:
+    from godfit.kept import read_ahead
+
     if kernels:
         from godfit.radial.exact import load_fastest
 
         load_fastest()
+    read_ahead(occasion)
     import matplotlib.backends.backend_agg
     import matplotlib.figure  # noqa: F401
 
