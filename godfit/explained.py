@@ -99,8 +99,8 @@ def grain(picture: Picture) -> float:
 
 
 def _bands(values: np.ndarray) -> np.ndarray:
-    """(bands, rows, w, ...) some of ``values`` (h, w, ...), BAND rows each: all, in one, where there
-    are no more than FEW."""
+    """(bands, rows, w, ...) some of ``values`` (h, w, ...), BAND rows each; all, in one, where
+    there are no more than FEW."""
     h, w = values.shape[:2]
     if h * w <= FEW:
         return values[None]

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from godfit.native import compiled
-from godfit.observation import LEVELS, Picture, all_channels
+from godfit.observation import LEVELS, Picture, over_channels
 from godfit.segment import grown
 
 # Circles that are tried, kept, and the share of the outline that these pass at least.
@@ -37,8 +37,11 @@ STEPS = 64
 def circles(picture: Picture, seed: int, keep: int = KEEP) -> np.ndarray:
     """(n, 3) circles that the outlines of where any channel is clipped and of where all are lie on,
     at most so many (``keep``) of each: middles in texture coordinates, radii in picture heights."""
-    white = all_channels(picture.levels >= LEVELS - picture.half)
-    outlines = (picture.clipped, picture.levels.max(-1)), (white, picture.levels.min(-1))
+    white = over_channels(np.logical_and, picture.levels >= LEVELS - picture.half)
+    outlines = (
+        (picture.clipped, over_channels(np.maximum, picture.levels)),
+        (white, over_channels(np.minimum, picture.levels)),
+    )
     each = [_around(picture, *outline, seed, keep) for outline in outlines]
     return np.concatenate(each if np.any(white != picture.clipped) else each[:1])
 

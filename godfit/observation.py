@@ -136,7 +136,7 @@ class Picture:
 
         # A cell a channel of which is clipped in part has a mean that says nothing.
         clipped = smaller(self.above.astype(np.float32))
-        whole = all_channels((clipped == 0) | (clipped == 1))
+        whole = over_channels(np.logical_and, (clipped == 0) | (clipped == 1))
         valid = (smaller(self.valid.astype(np.float32)) == 1) & whole
         return dataclasses.replace(
             self,
@@ -178,12 +178,12 @@ class Picture:
     @functools.cached_property
     def clipped(self) -> np.ndarray:
         """(h, w): pixels at the top of the scale in some channel."""
-        return any_channel(self.above)
+        return over_channels(np.logical_or, self.above)
 
     @functools.cached_property
     def readable(self) -> np.ndarray:
         """(h, w): valid pixels that are not at the top of the scale in every channel."""
-        return self.valid & ~all_channels(self.above)
+        return self.valid & ~over_channels(np.logical_and, self.above)
 
     @functools.cached_property
     def repeats(self) -> float:
@@ -297,7 +297,7 @@ class Picture:
             return np.zeros(small.size, np.float32)
         bright = np.minimum(small.levels.mean(-1), LEVELS - 1)
         down, along = np.gradient(ndimage.gaussian_filter(bright, 1.0))
-        return np.where(all_channels(small.above), 0, np.hypot(down, along))
+        return np.where(over_channels(np.logical_and, small.above), 0, np.hypot(down, along))
 
 
 def _texels(pixels: np.ndarray, size: tuple[int, int], mask: np.ndarray) -> Texels | None:
@@ -338,15 +338,10 @@ def shrink(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return out.astype(np.float32)
 
 
-def any_channel(region: np.ndarray) -> np.ndarray:
-    """(h, w) where any channel of ``region`` (h, w, c) is. By NumPy's own sum over three at a time
-    it takes fifteen times as long."""
-    return functools.reduce(np.logical_or, np.moveaxis(region, -1, 0))
-
-
-def all_channels(region: np.ndarray) -> np.ndarray:
-    """(h, w) where all channels of ``region`` (h, w, c) are."""
-    return functools.reduce(np.logical_and, np.moveaxis(region, -1, 0))
+def over_channels(combine: np.ufunc, image: np.ndarray) -> np.ndarray:
+    """(h, w) the channels of an image (h, w, c) taken together: for three at a time NumPy's own
+    sums over an axis take fifteen times as long."""
+    return functools.reduce(combine, np.moveaxis(image, -1, 0))
 
 
 def grey(image: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from godfit.observation import Picture, any_channel
+from godfit.observation import Picture, over_channels
 
 # The size of a light pass that is told from the picture's own.
 HALF = 0.5
@@ -48,7 +48,7 @@ def _bends(picture: Picture) -> np.ndarray:
             continue
         p, k = np.moveaxis(picture.levels, axis, 0), np.moveaxis(known, axis, 0)
         size = np.abs(p[3:] - 3 * (p[2:-1] - p[1:-2]) - p[:-3]) / step
-        large = any_channel((size > LEAST) & (size <= MOST))
+        large = over_channels(np.logical_or, (size > LEAST) & (size <= MOST))
         large &= k[3:] & k[2:-1] & k[1:-2] & k[:-3]
         for first in range(BLOCK):
             out[(first + 1) % BLOCK] += np.count_nonzero(large[first::BLOCK])

@@ -22,7 +22,7 @@ from godfit.image import Image
 from godfit.kept import kept
 from godfit.likelihood import log_likelihood
 from godfit.models import Mitchell
-from godfit.observation import LEVELS, Observation, Picture, all_channels
+from godfit.observation import LEVELS, Observation, Picture, over_channels
 from godfit.points import coordinates_at, predicted
 from godfit.segment import Segments, grown, light_colour, panels, segments
 from godfit.side_by_side import side_by_side
@@ -289,7 +289,7 @@ def _likeliest(
 def _reaching_into_glare(small: Picture) -> list[np.ndarray]:
     """What may be open, (h, w) each: as it seems, and with objects that reach so far into glare,
     where all channels are clipped and nothing is seen of them."""
-    glare = all_channels(small.levels >= LEVELS - small.half - 0.5)
+    glare = over_channels(np.logical_and, small.levels >= LEVELS - small.half - 0.5)
     solid = small.mask < 0.5
     masks = [small.mask]
     for growth in GROWTHS:
@@ -376,7 +376,7 @@ def with_background(
     light = np.asarray(_light(z, held, model, seen))
     k, c = model.background.shape
     lo, hi = (np.asarray(b).reshape(-1, c) for b in (seen.lo, seen.hi))
-    known = all_channels(np.isfinite(hi))
+    known = over_channels(np.logical_and, np.isfinite(hi))
     if not known.any():
         return z
     basis = terms(np.asarray(seen.pixels), seen.size, k)[known]

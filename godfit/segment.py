@@ -16,7 +16,7 @@ from numpy.polynomial.polynomial import polygrid2d
 from scipy import ndimage
 
 from godfit.disc import POWERS, TERMS, powers
-from godfit.observation import LEVELS, any_channel
+from godfit.observation import LEVELS, over_channels
 
 # A difference of channels this many levels off, or this many times its own spread, is another
 # colour.
@@ -154,7 +154,9 @@ def segments(
         wrong = np.where(more, off > limit, np.where(less, off < -limit, wrong))
         other |= wrong & ~neither
     other = _without_specks(other & valid, SPECK if noise < 1 else 30 * SPECK)
-    doubtful = _cut_off(levels, other, valid, any_channel(top), max(SHARP, 4 * noise))
+    doubtful = _cut_off(
+        levels, other, valid, over_channels(np.logical_or, top), max(SHARP, 4 * noise)
+    )
     return Segments(other, doubtful, noise, variation)
 
 
@@ -182,7 +184,7 @@ def _without_specks(region: np.ndarray, speck: float = SPECK) -> np.ndarray:
 
 def _cut_off(levels, other, valid, clipped, sharp) -> np.ndarray:
     """What sharp edges cut off from the largest region of the background's colour."""
-    bright = levels.max(-1)
+    bright = over_channels(np.maximum, levels)
     steep = np.zeros(bright.shape, bool)
     for axis in (0, 1):
         step = np.abs(np.diff(bright, axis=axis)) > sharp
