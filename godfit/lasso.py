@@ -22,7 +22,7 @@ from godfit.native import compiled
 SWEEPS, SHORT, GAIN = 12, 3e-3, 0.02
 # Between two of them those that move are swept so often and then solved for; while they are more
 # than so many, too many to be solved for, swept so often instead.
-BEFORE, MANY, INSTEAD = 5, 1500, 20
+BEFORE, MANY, INSTEAD = 5, 700, 20
 # Guesses at which of them end at a bound, most, and by how much their squares are damped at first,
 # as a share of the matrix's diagonal: ten times less once they were guessed, ten times more where
 # they were not.

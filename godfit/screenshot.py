@@ -218,9 +218,12 @@ def look(
         seen = copy.observe(copy.informative(MORE, seed + 2))
         coarse = [enlarged(mask, small.mask, copy.mask) for mask in coarse]
 
+        # Shadows that are found on a copy are not those of the picture.
+        sigmas = FINER if copy.size == picture.size else FINER[:1]
+
         def finely(begin: tuple[Read, np.ndarray]) -> Read:
             read, mask = begin
-            return _with_shadows(turns, Read.of(read.point, mask, seen), FINER)
+            return _with_shadows(turns, Read.of(read.point, mask, seen), sigmas)
 
         ended = side_by_side(finely, zip(ended, coarse, strict=True))
     both = sorted(zip(ended, coarse, strict=True), key=lambda each: each[0].point.cost)
