@@ -40,14 +40,18 @@ def with_edge(turns: Turns, width: float | None) -> Turns:
 
 
 def softened(turns: Turns, read: Read) -> tuple[Turns, Read]:
-    """With a soft edge of the disc where that explains more than another turn with a hard one."""
+    """With a soft edge of the disc where that explains more than another turn with a hard one; or
+    with a hard one, from where a soft one led."""
     softer, z, rows = with_edge(turns, None), read.point.coordinates.copy(), read.mask.shape[0]
     z[EDGE] = WIDE / rows
     begin = softer.solved(read.at(z), turns.noise)
     both = [(softer, begin), (turns, read)]
     soft, hard = side_by_side(lambda each: each[0].turn(each[1], turns.noise), both)
     hard = min(read, hard, key=turns.total)
-    wide = soft.point.coordinates[EDGE] > SOFT / rows
-    if wide and softer.total(soft) < turns.total(hard) - DOUBT:
+    if not softer.total(soft) < turns.total(hard) - DOUBT:
+        return turns, hard
+    if soft.point.coordinates[EDGE] > SOFT / rows:
         return softer, softer.turned(soft, SOME)
-    return turns, hard
+    # It was on the way that the edge was in the way.
+    again = turns.turned(turns.solved(soft, turns.noise), SOME)
+    return turns, min(hard, again, key=turns.total)
