@@ -40,8 +40,8 @@ def with_edge(turns: Turns, width: float | None) -> Turns:
 
 
 def softened(turns: Turns, read: Read) -> tuple[Turns, Read]:
-    """With a soft edge of the disc where that explains more than another turn with a hard one; or
-    with a hard one, from where a soft one led."""
+    """With a soft edge of the disc where that explains more than a hard one; with a hard one from
+    where a soft one led, past kinks of its own, where that does."""
     softer, z, rows = with_edge(turns, None), read.point.coordinates.copy(), read.mask.shape[0]
     z[EDGE] = WIDE / rows
     begin = softer.solved(read.at(z), turns.noise)
@@ -50,8 +50,11 @@ def softened(turns: Turns, read: Read) -> tuple[Turns, Read]:
     hard = min(read, hard, key=turns.total)
     if not softer.total(soft) < turns.total(hard) - DOUBT:
         return turns, hard
+    both = [(turns, turns.solved(soft, turns.noise))]
     if soft.point.coordinates[EDGE] > SOFT / rows:
-        return softer, softer.turned(soft, SOME)
-    # It was on the way that the edge was in the way.
-    again = turns.turned(turns.solved(soft, turns.noise), SOME)
-    return turns, min(hard, again, key=turns.total)
+        both.append((softer, soft))
+    again, *soft = side_by_side(lambda each: each[0].turned(each[1], SOME), both)
+    hard = min(hard, again, key=turns.total)
+    if soft and softer.total(soft[0]) < turns.total(hard) - DOUBT:
+        return softer, soft[0]
+    return turns, hard

@@ -9,11 +9,10 @@ Comm. ACM 24 (1981), 381): of many circles through three of its pixels, those th
 from __future__ import annotations
 
 import itertools
-import math
 
 import numpy as np
 
-from godfit.native import compiled
+from godfit.consensus import passed_by
 from godfit.observation import LEVELS, Picture, over_channels
 from godfit.segment import grown
 
@@ -65,7 +64,7 @@ def _around(
     outside = np.maximum(np.abs(u * h / w - 0.5), np.abs(v - 0.5)) > 0.5 + MARGIN
     # None of a triple on a line, or of one pixel twice, is a number.
     found = found[(RADII[0] < radius) & (radius < RADII[1]) & ~outside]
-    passed = _passed(found, x, y, max(NEAR / h, SHARE))
+    passed = passed_by(found, x, y, max(NEAR / h, SHARE))
     kept: list[np.ndarray] = []
     for i in np.argsort(-passed):
         if len(kept) == keep or passed[i] < LEAST * len(x):
@@ -73,17 +72,6 @@ def _around(
         if all(np.abs(found[i] - other).max() > 0.05 for other in kept):
             kept.append(found[i])
     return np.array(kept).reshape(-1, 3) * (h / w, 1, 1)
-
-
-@compiled
-def _passed(circles: np.ndarray, x: np.ndarray, y: np.ndarray, near: float) -> np.ndarray:
-    """(n,) how many of the places ``x``, ``y`` each of ``circles`` (n, 3) passes."""
-    passed = np.zeros(len(circles), np.int64)
-    for i in range(len(circles)):
-        u, v, radius = circles[i]
-        for j in range(len(x)):
-            passed[i] += abs(math.sqrt((x[j] - u) ** 2 + (y[j] - v) ** 2) - radius) < near
-    return passed
 
 
 def _through(x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -10,7 +10,6 @@ the picture is linear in solved for (variable projection, as in ``screen.py``).
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 
 import jax.numpy as jnp
@@ -18,9 +17,9 @@ import numpy as np
 from jax import lax
 from scipy import ndimage
 
+from godfit.consensus import votes_for
 from godfit.disc import powers
 from godfit.kept import kept
-from godfit.native import compiled
 from godfit.observation import LEVELS, Picture, shrink
 from godfit.screen import DENSITIES, STEPS, read_rays
 from godfit.segment import regions
@@ -67,31 +66,13 @@ def _voted(picture: Picture, seed: int, keep: int = 12) -> np.ndarray:
     aspect = w / h
     u, v = (np.linspace(-MARGIN * s, (1 + MARGIN) * s, int(80 * max(s, 1))) for s in (aspect, 1.0))
     found = []
-    both = side_by_side(lambda along: _votes(u, v, x, y, nx, ny, along), (True, False))
+    both = side_by_side(lambda along: votes_for(u, v, x, y, nx, ny, along), (True, False))
     for votes in both:
         votes = ndimage.gaussian_filter(votes, 1.0)
         peaks = np.argwhere(votes == ndimage.maximum_filter(votes, 9))
         order = np.argsort(-votes[tuple(peaks.T)])[: keep // 2]
         found += [(u[j] / aspect, v[i]) for i, j in peaks[order]]
     return np.array(found)
-
-
-@compiled
-def _votes(u, v, x, y, nx, ny, along):
-    """(v, u) votes of edges at ``x``, ``y`` (n,) for places to the right (u,) and above (v,): of
-    those whose normals ``nx``, ``ny`` are across the way there or, not ``along``, on it."""
-    votes = np.zeros((len(v), len(u)))
-    width = 0.05 if along else 0.02
-    for i in range(len(v)):
-        for j in range(len(u)):
-            for k in range(len(x)):
-                dx, dy = u[j] - x[k], v[i] - y[k]
-                cosine = abs(dx * nx[k] + dy * ny[k]) / (math.sqrt(dx * dx + dy * dy) + 1e-6)
-                off = (cosine if along else 1 - cosine) / width
-                # What is farther off than that has no say.
-                if off < 6:
-                    votes[i, j] += math.exp(-off * off)
-    return votes
 
 
 def _bright(picture: Picture, keep: int = 6) -> np.ndarray:

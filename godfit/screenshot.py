@@ -36,9 +36,9 @@ SIDE, FEW, MORE = 240, 1024, 4096
 # Taps of first looks, and with shadows on the small copy: where a disc's edge is, too few do not
 # tell. On the finer copy there are as many as the shader has.
 COARSE_TAPS, TAPS = 48, 96
-# Starts, those tried with objects as they seem to be, and trials refined with their shadows; of
-# these, one whose cost is so many times the least is none.
-STARTS, TRIED, FOLLOWED, WORSE = 6, 2, 2, 1.5
+# Starts, those tried with objects as they seem to be, and trials refined with their shadows; one
+# whose cost is so many times the least is none, before shadows and with them.
+STARTS, TRIED, FOLLOWED, HOPELESS, WORSE = 6, 2, 2, 8.0, 1.5
 # How far, in picture heights, objects may reach into glare that hides them all, and the noise
 # allowed for on the way, before and with shadows.
 GROWTHS, BEFORE, WITH = (0.02, 0.045, 0.075), (8.0, 4.0, 2.0), (1.0, 0.5)
@@ -198,15 +198,16 @@ def look(
     turns = Turns(model, small, reading.unknown, grain(small), free, still, seed)
     seen = small.observe(small.informative(MORE, seed + 1))
 
-    def trial(begin: tuple[Point, np.ndarray]) -> Read:
-        # Where a start ends under what may be open, with its shadows.
+    def unshadowed(begin: tuple[Point, np.ndarray]) -> Read:
+        # Where a start ends under what may be open.
         read = Read.of(*begin, seen)
         for sigma in BEFORE:
             read = turns.descended(read, sigma)
-        return _with_shadows(turns, read, WITH)
+        return read
 
-    trials = sorted(side_by_side(trial, begun_with), key=lambda t: t.point.cost)
-    trials = [t for t in trials[:FOLLOWED] if t.point.cost <= WORSE * trials[0].point.cost]
+    trials = _likely(side_by_side(unshadowed, begun_with), HOPELESS)
+    trials = side_by_side(lambda read: _with_shadows(turns, read, WITH), trials)
+    trials = _likely(trials, WORSE)[:FOLLOWED]
     say(f"{len(trials)} of them further")
     begun_again = [Read.of(t.point, t.thought, seen) for t in trials]
     ended = side_by_side(lambda read: _with_shadows(turns, read, SIGMAS), begun_again)
@@ -327,6 +328,12 @@ def _rough(
     points.sort(key=lambda p: p.cost)
     points = [*side_by_side(further, points[:AGAIN]), *points[AGAIN:]]
     return sorted(points, key=lambda p: p.cost)
+
+
+def _likely(trials: list[Read], times: float) -> list[Read]:
+    """Best first, without those that leave so many ``times`` the least."""
+    trials = sorted(trials, key=lambda trial: trial.point.cost)
+    return [trial for trial in trials if trial.point.cost <= times * trials[0].point.cost]
 
 
 def _with_shadows(turns: Turns, read: Read, sigmas: tuple[float, ...]) -> Read:

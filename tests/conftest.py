@@ -47,6 +47,7 @@ COMPILED = (
     "godfit.crossing",
     "godfit.shadows",
     "godfit.lasso",
+    "godfit.consensus",
     "godfit.texel_sums",
     "godfit.disc_sums",
     "godfit.flatland.compiled_walk",
