@@ -1,5 +1,7 @@
 """Programs kept from one run to the next: the same answers, neither traced nor compiled again."""
 
+import threading
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -160,3 +162,104 @@ def test_foreign_functions_are_known_by_name():
 
     assert foreign.made_known(compiled.NAMES["points", False])
     assert not foreign.made_known("nobody")
+
+
+def test_a_model_comes_back_as_one(traced, another_run):
+    def moved(model, z):
+        traced.append("moved")
+        return model.moved(z), (z, {"gain": z[3]})
+
+    moved.__qualname__ = "moved"
+    z = jnp.asarray([0.06, 2.0, 0.7, 0.5, 0.4, 0.3])
+    expected = MODEL.moved(z)
+    for _ in range(2):
+        another_run()
+        found, (same, named) = kept.kept(moved)(MODEL, z)
+        assert isinstance(found, Mitchell)
+        assert (found.shader, found.samples) == (MODEL.shader, MODEL.samples)
+        for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-12)
+        np.testing.assert_array_equal(same, z)
+        assert named["gain"] == z[3]
+    assert traced == ["moved"]
+
+
+@pytest.fixture
+def loaded(monkeypatch):
+    """The names of files that programs are read from, in order."""
+    names = []
+    load = kept._loaded
+    monkeypatch.setattr(kept, "_loaded", lambda file: names.append(file.name) or load(file))
+    return names
+
+
+def test_what_was_needed_last_time_is_read_ahead(traced, another_run, loaded):
+    another_run()
+    light = made(traced)
+    kept.read_ahead("a picture")
+    expected = [light(MODEL, MASK, times)[0] for times in (3, 1, 2)]
+    kept.remember()
+    needed = [*loaded]
+    loaded.clear()
+    another_run()
+    kept.read_ahead("a picture")
+    assert loaded == needed
+    # Asked in another order, and not all of them.
+    for times, image in ((2, expected[2]), (3, expected[0])):
+        np.testing.assert_array_equal(light(MODEL, MASK, times)[0], image)
+    assert loaded == needed
+    kept.remember()
+    loaded.clear()
+    another_run()
+    kept.read_ahead("another picture")
+    assert loaded == []
+    kept.read_ahead("a picture")
+    assert loaded == [needed[2], needed[0]]
+    assert traced == [3, 1, 2]
+
+
+def test_what_cannot_be_read_ahead_is_made_when_it_is_needed(traced, another_run, loaded):
+    another_run()
+    light = made(traced)
+    kept.read_ahead("a picture")
+    expected = light(MODEL, MASK, 1)[0]
+    kept.remember()
+    for file in another_run():
+        if file.name == loaded[0]:
+            file.write_bytes(b"half a program")
+    kept.read_ahead("a picture")
+    np.testing.assert_array_equal(light(MODEL, MASK, 1)[0], expected)
+    assert traced == [1, 1]
+
+
+def test_what_nobody_waits_for_is_not_read(traced, another_run, monkeypatch):
+    another_run()
+    light = made(traced)
+    kept.read_ahead("a picture")
+    for times in (1, 2, 3):
+        light(MODEL, MASK, times)
+    kept.remember()
+    another_run()
+    begun, go_on, names = threading.Event(), threading.Event(), []
+    load = kept._loaded
+
+    def slowly(file):
+        names.append(file.name)
+        begun.set()
+        assert go_on.wait(60)
+        return load(file)
+
+    monkeypatch.setattr(kept, "_loaded", slowly)
+    reading = threading.Thread(target=kept.read_ahead, args=("a picture",))
+    reading.start()
+    assert begun.wait(60)
+    # The command ends while the first is being read: it waits for that, and for no other.
+    ending = threading.Thread(target=kept.remember)
+    ending.start()
+    ending.join(0.2)
+    assert ending.is_alive()
+    go_on.set()
+    for thread in (ending, reading):
+        thread.join(60)
+        assert not thread.is_alive()
+    assert len(names) == 1

@@ -21,6 +21,8 @@ from godfit.models import Mitchell
 from godfit.observation import Picture
 from godfit.occluders import asked
 from godfit.segment import light_colour, panels, segments
+from godfit.solver import Point
+from godfit.turns import Read
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
 from screens import made
@@ -455,3 +457,14 @@ def test_blocks_hold_neighbours_and_are_as_many_as_asked():
     assert np.mean(np.diff(chosen) == 1) > 0.9
     few = dataclasses.replace(picture, valid=valid & (np.arange(800) < 120))
     assert np.array_equal(screenshot.blocks(few, 0), np.flatnonzero(few.valid))
+
+
+def test_what_leaves_many_times_the_least_is_not_followed():
+    def left(cost):
+        mask = np.ones((2, 2), np.float32)
+        return Read(Point(np.zeros(9, np.float32), cost, True, 1), mask, mask, None)
+
+    trials = [left(cost) for cost in (30.0, 16.0, 2.0, 15.9)]
+    costs = [trial.point.cost for trial in screenshot._likely(trials, screenshot.HOPELESS)]
+    assert costs == [2.0, 15.9, 16.0]
+    assert [trial.point.cost for trial in screenshot._likely(trials, 1.5)] == [2.0]

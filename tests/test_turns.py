@@ -248,6 +248,50 @@ def test_a_soft_edge_is_read_where_there_is_one(edge):
         assert softer is turns
 
 
+@pytest.mark.parametrize(
+    ("edge", "soft_left", "expected"), [(1e-4, 30, 50), (0.1, 30, 30), (0.1, 55, 50)]
+)
+def test_a_hard_edge_goes_on_from_where_a_soft_one_led(monkeypatch, edge, soft_left, expected):
+    """A hard edge is stuck at 100; a soft one leads to where it leaves 50, and may leave less."""
+
+    class Walk(Turns):
+        noise = 1.0
+
+        def __init__(self, turn, turned, at_edge):
+            vars(self).update(left={"turn": turn, "turned": turned}, at_edge=at_edge)
+
+        def to(self, read, how):
+            z = read.point.coordinates.copy()
+            elsewhere = z[RADIUS] == 0.5
+            if self.at_edge is not None:
+                z[RADIUS], z[EDGE] = 0.5, self.at_edge
+            left = self.left[how] if self.at_edge is not None or elsewhere else 100
+            return read._replace(point=Point(z, left, True, 1))
+
+        def solved(self, read, _):
+            return read
+
+        def turn(self, read, _):
+            return self.to(read, "turn")
+
+        def turned(self, read, _):
+            return self.to(read, "turned")
+
+        def total(self, read):
+            return read.point.cost
+
+    hard, soft = Walk(60, 50, None), Walk(40, soft_left, edge)
+    monkeypatch.setattr(edges, "with_edge", lambda turns, width: soft)
+    mask = np.ones((100, 100), np.float32)
+    begin = Read(Point(np.zeros(12, np.float32), 100, True, 1), mask, mask, None)
+    turns, read = edges.softened(hard, begin)
+    assert read.point.cost == expected
+    assert turns is (soft if expected == soft_left else hard)
+    # Where a soft edge explains no more, all stays as it is.
+    soft.left["turn"] = 100
+    assert edges.softened(hard, begin) == (hard, begin)
+
+
 @pytest.mark.usefixtures("single_precision")
 @pytest.mark.parametrize(
     "known", [[], [DENSITY], [DENSITY, RADIUS], [GAIN]], ids=["nothing", "density", "both", "gain"]
