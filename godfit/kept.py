@@ -78,9 +78,11 @@ def read_ahead(occasion: str) -> None:
     """Read the programs that were needed on the last such occasion, in their order. For a thread of
     its own, once all is imported that programs call."""
     global _occasion
-    _occasion = occasion
+    folder, _occasion = _folder, occasion
+    if folder is None:
+        return
     try:
-        names = _notes().read_text().split()
+        names = _notes(folder).read_text().split()
     except OSError:
         # The first of its kind.
         return
@@ -88,7 +90,7 @@ def read_ahead(occasion: str) -> None:
     for name in names:
         coming = _coming[name]
         if coming.set_running_or_notify_cancel():
-            coming.set_result(_loaded(_folder / name) if _folder else None)
+            coming.set_result(_loaded(folder / name))
 
 
 def remember() -> None:
@@ -96,12 +98,11 @@ def remember() -> None:
     wait([coming for coming in _coming.values() if not coming.cancel()])
     with contextlib.suppress(OSError):
         if _occasion and _folder is not None and _folder.is_dir():
-            atomic_write(_notes(), "\n".join(_needed).encode())
+            atomic_write(_notes(_folder), "\n".join(_needed).encode())
 
 
-def _notes() -> Path:
-    name = "needed-" + hashlib.sha256(_occasion.encode()).hexdigest()[:16]
-    return (_folder or Path()) / name
+def _notes(folder: Path) -> Path:
+    return folder / ("needed-" + hashlib.sha256(_occasion.encode()).hexdigest()[:16])
 
 
 def kept(function: Callable[..., Any]) -> Callable[..., Any]:
