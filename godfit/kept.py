@@ -86,9 +86,9 @@ def read_ahead(occasion: str) -> None:
     except OSError:
         # The first of its kind.
         return
-    _coming.update((name, Future()) for name in names)
-    for name in names:
-        coming = _coming[name]
+    each = {name: Future() for name in names}
+    _coming.update(each)
+    for name, coming in each.items():
         if coming.set_running_or_notify_cancel():
             coming.set_result(_loaded(folder / name))
 
