@@ -22,10 +22,9 @@ from scipy.special import factorial
 
 from godfit.disc import DENSITY, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, VEIL, DiscLight, terms
 from godfit.disc_sums import best_discs, disc_sums, is_clear, open_sums
-from godfit.kept import kept
 from godfit.observation import LEVELS, shrink
 from godfit.occluders import light_read, texels_of
-from godfit.points import model_at
+from godfit.points import model_at, taps_of
 from godfit.side_by_side import side_by_side
 from godfit.turns import Read, Turns
 
@@ -334,15 +333,9 @@ def _taps(turns: Turns, z: np.ndarray, density: float, kappa: float):
     z = z.copy()
     z[DENSITY] = density
     z[KAPPA] = max(z[KAPPA] + kappa, 0.0)
-    own, t, c = (np.asarray(a, np.float64) for a in _taps_of(z, turns.held, turns.model))
-    share = z[GAIN] / max(z[GAIN] + z[VEIL], 1e-9)
-    return np.append(0.0, t), np.append(own, c) * (share * LEVELS)
-
-
-@kept
-def _taps_of(z, held, model: DiscLight):
-    (taps,) = model.moved(z, held).taps
-    return taps.own, taps.t, taps.c
+    there = model_at(z, turns.held, turns.model)
+    t, c = (np.asarray(a, np.float64) for a in taps_of(there))
+    return t, c * (z[GAIN] / max(z[GAIN] + z[VEIL], 1e-9) * LEVELS)
 
 
 def _usual(turns: Turns, z: np.ndarray, rays: Rays, discs: list[Disc]) -> np.ndarray:

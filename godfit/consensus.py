@@ -9,21 +9,24 @@ import numpy as np
 
 from godfit.native import compiled
 
+# By how much the cosine of an edge's normal to the way there may be off 0, or off 1, and how many
+# times as far off it has no say.
+ACROSS, ON, FAR = 0.05, 0.02, 6.0
+
 
 @compiled
 def votes_for(u, v, x, y, nx, ny, along):
     """(v, u) votes of edges at ``x``, ``y`` (n,) for places to the right (u,) and above (v,): of
     those whose normals ``nx``, ``ny`` are across the way there or, not ``along``, on it."""
     votes = np.zeros((len(v), len(u)))
-    width = 0.05 if along else 0.02
+    width = ACROSS if along else ON
     for i in range(len(v)):
         for j in range(len(u)):
             for k in range(len(x)):
                 dx, dy = u[j] - x[k], v[i] - y[k]
                 cosine = abs(dx * nx[k] + dy * ny[k]) / (math.sqrt(dx * dx + dy * dy) + 1e-6)
                 off = (cosine if along else 1 - cosine) / width
-                # What is farther off than that has no say.
-                if off < 6:
+                if off < FAR:
                     votes[i, j] += math.exp(-off * off)
     return votes
 

@@ -50,11 +50,11 @@ def softened(turns: Turns, read: Read) -> tuple[Turns, Read]:
     hard = min(read, hard, key=turns.total)
     if not softer.total(soft) < turns.total(hard) - DOUBT:
         return turns, hard
-    both = [(turns, turns.solved(soft, turns.noise))]
+    ways = [(turns, turns.solved(soft, turns.noise))]
     if soft.point.coordinates[EDGE] > SOFT / rows:
-        both.append((softer, soft))
-    again, *soft = side_by_side(lambda each: each[0].turned(each[1], SOME), both)
+        ways.append((softer, soft))
+    again, *wide = side_by_side(lambda way: way[0].turned(way[1], SOME), ways)
     hard = min(hard, again, key=turns.total)
-    if soft and softer.total(soft[0]) < turns.total(hard) - DOUBT:
-        return softer, soft[0]
+    if wide and softer.total(wide[0]) < turns.total(hard) - DOUBT:
+        return softer, wide[0]
     return turns, hard

@@ -94,7 +94,7 @@ def read_ahead(occasion: str) -> None:
 
 
 def remember() -> None:
-    """What was needed on this occasion, for the next; nothing is read ahead any more."""
+    """Note what was needed so far for the next such occasion; nothing is read ahead any more."""
     wait([coming for coming in _coming.values() if not coming.cancel()])
     with contextlib.suppress(OSError):
         if _occasion and _folder is not None and _folder.is_dir():

@@ -24,6 +24,7 @@ from godfit.disc import DARK, DiscLight, terms
 from godfit.kept import kept
 from godfit.lasso import Along, lasso
 from godfit.observation import LEVELS, Picture
+from godfit.points import taps_of
 from godfit.texel_sums import texel_sums
 
 ROUNDS = 3
@@ -197,14 +198,6 @@ def _disc_of(model: DiscLight, size: tuple[int, int]):
     return model.rim(size), model.occlusion(jnp.ones(size, jnp.float32)).astype(jnp.float32)
 
 
-@kept
-def _taps_of(model: DiscLight):
-    """Places and weights, the pixel's own first."""
-    (taps,) = model.taps
-    own = jnp.full(1, taps.own, taps.c.dtype)
-    return jnp.append(jnp.zeros_like(own), taps.t), jnp.append(own, taps.c)
-
-
 def _affordable(model: DiscLight, size: tuple[int, int], low: tuple[int, int]) -> int:
     """Pixels whose taps may be held at once; where the light pass is smaller, each reads four of
     its texels, of which there are only so many."""
@@ -233,7 +226,7 @@ def _sums(
     count = int(cell.max()) + 1
     light = np.asarray(model.light[0], np.float64) * (low[1], -low[0]) + (-0.5, low[0] - 0.5)
     lit = lit_by(model, low).ravel()
-    t, c = (np.asarray(a, np.float64) for a in _taps_of(model))
+    t, c = (np.asarray(a, np.float64) for a in taps_of(model))
     values = np.asarray(picture.mask, np.float32).ravel()
     known, starts, read, share = texel_sums(texels, *low, light, t, c, lit, values, place, count)
     shape = (len(texels), count)

@@ -13,7 +13,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from godfit import inputs, screen_disc, screenshot
+from godfit import first_look, inputs, screen_disc
+from godfit.beginnings import coordinates_of, with_background
 from godfit.bright_pass import DARK, SOFTNESS, THRESHOLD, BrightPass, brightness
 from godfit.disc import DENSITY, GAIN, LIGHT_X, LIGHT_Y, TERMS, terms
 from godfit.errors import InputError
@@ -24,11 +25,12 @@ from godfit.kept import kept
 from godfit.models import Mitchell
 from godfit.observation import LEVELS, Observation, Picture
 from godfit.points import occlusion_of
+from godfit.screenshot import FOREIGN
 from godfit.segment import grown
 from godfit.settling import settle
 from godfit.side_by_side import side_by_side
 from godfit.solver import Point, solve
-from godfit.unaided import DISAGREE, LEAST, NO_RAYS, next_dip
+from godfit.unaided import DISAGREE, LEAST, NO_RAYS, blocks, next_dip
 from godfit.valley import bottoms, predictions
 from godfit.verdict import Found
 
@@ -77,7 +79,7 @@ def found_in(
         opened.append((0, [3]))
     if "threshold" in given:
         thresholds = np.array([given["threshold"]])
-    small = picture.shrunk(-(-max(picture.size) // screenshot.SIDE))
+    small = picture.shrunk(-(-max(picture.size) // first_look.SIDE))
     say("votes for the light")
     begun = _begun(small, model, given, thresholds, seed)
     say(f"{len(begun)} starts")
@@ -91,7 +93,7 @@ def found_in(
         np.append(old, np.full(more, new, old.dtype))
         for old, new in ((z, 0), (held, np.nan), (free, True))
     )
-    seen = picture.observe(screenshot.blocks(picture, seed))
+    seen = picture.observe(blocks(picture, seed))
     say(f"all of the {len(seen.pixels):,} pixels")
     z = solve(z, free, held, model, seen, max(1.0, grain(picture))).coordinates
     settled, tangent = settle(z, model, seen, free, held)
@@ -102,7 +104,7 @@ def found_in(
     share = explained_of_cells(settled.coordinates, held, model, picture)
     found.objection = "" if share > RAYS else NO_RAYS.format(100 * max(share, 0))
     lights = np.stack([p.coordinates[LIGHT_X : LIGHT_Y + 1] for p in points])
-    found.starts_agreed = screenshot.agreed(lights, settled.coordinates[LIGHT_X : LIGHT_Y + 1])
+    found.starts_agreed = first_look.agreed(lights, settled.coordinates[LIGHT_X : LIGHT_Y + 1])
     if found.starts_agreed[0] < 2 <= found.starts_agreed[1]:
         found.remarks = (DISAGREE.format(*found.starts_agreed),)
     return found
@@ -121,7 +123,7 @@ def _read(target: Image, valid: np.ndarray | None) -> tuple[Picture, np.ndarray]
             f"{np.count_nonzero(dark)}; give --mask"
         )
     knots = middle, bright[light].mean(), bright[light].max()
-    picture = dataclasses.replace(picture, mask=bright, valid=dark, foreign=screenshot.FOREIGN)
+    picture = dataclasses.replace(picture, mask=bright, valid=dark, foreign=FOREIGN)
     return picture, np.interp(THRESHOLDS, (0, 1, 2), knots)
 
 
@@ -158,7 +160,7 @@ def _begun(
         for start in screen_disc.starts(
             small, open_, len(model.background), lights, seed, STARTS, EVERYWHERE
         ):
-            z = screenshot.coordinates_of(start, model)
+            z = coordinates_of(start, model)
             z[[GAIN, THRESHOLD, SOFTNESS, DARK]] = z[GAIN] + z[DARK], threshold, softness, 0
             begun.append(z)
     return begun
@@ -182,7 +184,7 @@ def _climbed(
         return solve(z, free, held, model, seen, last)
 
     def first(z: np.ndarray) -> Point:
-        return climb(screenshot.with_background(z, held, model, seen), SIGMAS[:1])
+        return climb(with_background(z, held, model, seen), SIGMAS[:1])
 
     def further(point: Point) -> Point:
         return climb(point.coordinates, SIGMAS[1:])

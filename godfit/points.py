@@ -3,6 +3,8 @@ own, each kept. Done one by one, the operations of a single ``moved`` take twent
 
 from __future__ import annotations
 
+import jax.numpy as jnp
+
 from godfit.kept import kept
 
 
@@ -28,3 +30,11 @@ def predicted(z, held, model, seen):
 def occlusion_of(model, mask):
     """(h, w) or (h, w, c) what the light pass of ``model`` reads."""
     return model.occlusion(mask)
+
+
+@kept
+def taps_of(model):
+    """Places (k + 1,) and weights (k + 1,) of the one pass of ``model``, the pixel's own first."""
+    (taps,) = model.taps
+    own = jnp.full(1, taps.own, taps.c.dtype)
+    return jnp.append(jnp.zeros_like(own), taps.t), jnp.append(own, taps.c)

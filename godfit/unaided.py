@@ -1,7 +1,7 @@
 """The fit of a picture that comes with nothing, from its bytes to what was found.
 
-See ``screenshot.py`` for how it is understood. The search runs on a small copy; the answer is
-settled on blocks of the whole picture under a likelihood with heavy tails.
+See ``screenshot.py`` for how it is understood. The search runs on a small copy (``first_look.py``);
+the answer is settled on blocks of the whole picture under a likelihood with heavy tails.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from scipy import ndimage
 
-from godfit import inputs, screenshot
+from godfit import first_look, inputs, screenshot
 from godfit.around import TEXTURE, best_around
 from godfit.disc import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL, DiscLight
 from godfit.edge import hardened, softened
@@ -44,6 +44,9 @@ TURNS = 6
 FINER = 3
 # A disc is in sight where it is brighter than the veil by this.
 SEEN = 1.1
+# Pixels of the last look, in blocks of so many rows and columns: what errs together is told by
+# neighbours. Sums along rows cost less.
+LAST, ROWS, COLUMNS = 16_384, 8, 32
 # Pixels without which nothing can be told.
 LEAST = 500
 NO_RAYS = (
@@ -103,7 +106,7 @@ def found_in(
     free_tint = np.isnan(held[tint])
     # What it was read as will do until the rest is known.
     held[tint] = np.where(free_tint, reading.tint, held[tint])
-    looked = screenshot.look(reading, shading, given, held, seed, say)
+    looked = first_look.look(reading, shading, given, held, seed, say)
     model, picture = looked.model, reading.picture
     best = looked.ends[0]
     opened: list[tuple[int, list[int]]] = []
@@ -118,10 +121,10 @@ def found_in(
         free[0] = False
         opened.append((0, [3]))
     turns = Turns(model, picture, reading.unknown, grain(picture), free, held, seed)
-    seen = picture.observe(screenshot.blocks(picture, seed))
+    seen = picture.observe(blocks(picture, seed))
     objection = _objection(looked, held, picture)
     rays = not objection
-    first = screenshot.enlarged(best.mask, looked.copy.mask, picture.mask)
+    first = first_look.enlarged(best.mask, looked.copy.mask, picture.mask)
     rounds = ROUNDS if rays else 1
     if rays:
         sizes = _sizes(picture, turns.texture) if pass_scale is None else [pass_scale]
@@ -148,7 +151,7 @@ def found_in(
     settled, tangent = settle(point.coordinates, model, seen, free, held, rounds=rounds)
     at = evidence(settled, tangent, seen).within(model.ranges(settled.coordinates))
     found = Found(model, picture, seen, settled, at, free, held, opened, False)
-    found.starts_agreed = screenshot.agreed(
+    found.starts_agreed = first_look.agreed(
         looked.lights, settled.coordinates[LIGHT_X : LIGHT_Y + 1]
     )
     remarks = []
@@ -178,7 +181,20 @@ def found_in(
     return found, notes
 
 
-def _objection(looked: screenshot.Look, held: np.ndarray, picture: Picture) -> str:
+def blocks(picture: Picture, seed: int) -> np.ndarray:
+    """Sorted indices of LAST valid pixels, in blocks drawn at random; all where there are fewer."""
+    h, w = picture.size
+    rows, columns = -(-h // ROWS), -(-w // COLUMNS)
+    order = np.random.default_rng(seed).permutation(rows * columns)
+    rank = np.argsort(order).reshape(rows, columns)
+    rank = np.kron(rank, np.ones((ROWS, COLUMNS), int))[:h, :w].ravel()
+    pixels = np.flatnonzero(picture.valid)
+    # Always as many, the last block cut off: for every other number the program would be compiled
+    # anew.
+    return np.sort(pixels[np.argsort(rank[pixels], kind="stable")[:LAST]])
+
+
+def _objection(looked: first_look.Look, held: np.ndarray, picture: Picture) -> str:
     """Why what the search found is no rays; empty where it is."""
     z = looked.ends[0].coordinates
     light = z[LIGHT_X : LIGHT_Y + 1]
@@ -198,7 +214,7 @@ def _sizes(picture: Picture, texture: float) -> list[float]:
 
 def _searched(
     turns: Turns,
-    looked: screenshot.Look,
+    looked: first_look.Look,
     sizes: list[float],
     seed: int,
     say: Callable[[str], None],
@@ -208,10 +224,10 @@ def _searched(
     beside it, by a few of the pixels, with a light pass of one of these ``sizes``, and changes (p,)
     that it may be off by."""
     picture = turns.picture
-    few = picture.observe(picture.informative(screenshot.MORE, seed + 2))
+    few = picture.observe(picture.informative(first_look.MORE, seed + 2))
     whole = looked.copy.size == picture.size
 
-    def begun(end: screenshot.End) -> list[Read]:
+    def begun(end: first_look.End) -> list[Read]:
         # What it left on a copy says nothing of what it leaves here, nor do its shadows.
         at = Point(end.coordinates, np.inf, False, 0)
         masks = {scale: [end.mask if whole else np.asarray(picture.mask)] for scale in sizes}

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from godfit import glare, inputs, screenshot
+from godfit import beginnings, glare, inputs, screenshot
 from godfit.disc import VEIL, DiscLight
 from godfit.models import Mitchell
 from godfit.observation import LEVELS, Picture
@@ -75,7 +75,7 @@ def test_starts_clip_on_the_circle():
     begun = glare.starts(picture, 0)
     compared = 0
     for start in begun:
-        z = screenshot.coordinates_of(start, model).astype(float)
+        z = beginnings.coordinates_of(start, model).astype(float)
         z[VEIL] = 0
         shown = np.asarray(seen.predict(model.moved(jnp.asarray(z), held)))
         shown = shown.reshape(h, w, -1)[..., 0]

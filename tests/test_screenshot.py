@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import norm
 
 import godfit
-from godfit import beside, screen_disc, screenshot, unaided
+from godfit import beginnings, beside, first_look, screen_disc, screenshot, unaided
 from godfit.bright_pass import BrightPass
 from godfit.disc import FIRST, GAIN, LIGHT_X, LIGHT_Y, SOFT, VEIL, DiscLight
 from godfit.explained import explained, grain
@@ -243,18 +243,18 @@ def looks():
 def fewer_starts(looks):
     """Of clear pictures half as many say the same; as many pixels and taps at every look are one
     program to compile instead of three."""
-    look = screenshot.look
+    look = first_look.look
 
     def kept(*args):
         looks.append(look(*args))
         return looks[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(screenshot, "STARTS", 3)
-        patch.setattr(screenshot, "FEW", screenshot.MORE)
-        patch.setattr(screenshot, "COARSE_TAPS", screenshot.TAPS)
+        patch.setattr(first_look, "STARTS", 3)
+        patch.setattr(first_look, "FEW", first_look.MORE)
+        patch.setattr(first_look, "COARSE_TAPS", first_look.TAPS)
         patch.setattr(beside, "BESIDE", {})
-        patch.setattr(screenshot, "look", kept)
+        patch.setattr(first_look, "look", kept)
         yield
 
 
@@ -317,7 +317,7 @@ def test_light_explains_rays_and_nothing_else(screen):
     parameters = screenshot.template(shading, 3, reading.degree, reading.tint).parameters
     held = np.full(len(parameters), np.nan, np.float32)
     with jax.enable_x64(False):
-        looked = screenshot.look(reading, shading, {}, held, 0, lambda text: None)
+        looked = first_look.look(reading, shading, {}, held, 0, lambda text: None)
     assert looked.explained < unaided.RAYS
 
 
@@ -355,7 +355,7 @@ def share_explained(screen, u, v):
     z = np.asarray(model.coordinates(), np.float32)
     held = np.full(len(z), np.nan, np.float32)
     seen = picture.observe(np.flatnonzero(picture.valid))
-    return explained(screenshot.with_background(z, held, model, seen), held, model, picture)
+    return explained(beginnings.with_background(z, held, model, seen), held, model, picture)
 
 
 def test_next_to_no_light_has_derivatives():
@@ -380,7 +380,7 @@ def test_without_rays_a_fit_does_not_converge(screen, looks, dark, monkeypatch):
         z = seen.ends[0].coordinates.copy()
         z[LIGHT_X], z[LIGHT_Y], z[GAIN] = 0.4, 0.6, 0.05 * z[VEIL]
         seen = seen._replace(ends=(seen.ends[0]._replace(coordinates=z),))
-    monkeypatch.setattr(screenshot, "look", lambda *_: seen)
+    monkeypatch.setattr(first_look, "look", lambda *_: seen)
     samples = int(screen.truth["samples"])
     result = godfit.fit(
         screen.image, shader="dawntime", samples=samples, valid=beside_panels(screen)
@@ -392,12 +392,12 @@ def test_without_rays_a_fit_does_not_converge(screen, looks, dark, monkeypatch):
 
 def test_what_is_held_makes_the_same_light_of_fewer_taps():
     model = disc_model(samples=200)
-    fewer = screenshot._with_taps(model, 50)
+    fewer = first_look._with_taps(model, 50)
     held = np.full(len(model.parameters), np.nan)
     held[1], held[3] = model.shading.decay, model.shading.weight
     open_ = jnp.ones(SIZE).at[30:60, 60:75].set(0.0)
     z = np.asarray(model.coordinates())
-    at = fewer.moved(z, screenshot._at_taps(held, model, fewer))
+    at = fewer.moved(z, first_look._at_taps(held, model, fewer))
     light, same = (np.asarray(m.light_pass(open_, method="reference")) for m in (model, at))
     assert np.abs(same - light).mean() < 0.05 * light.mean()
 
@@ -433,10 +433,10 @@ def test_the_size_of_the_light_pass_is_found(scale, smaller, monkeypatch):
     reading = reading._replace(picture=picture, unknown=unknown, degree=0)
     z = np.asarray(model.coordinates(), np.float32)
     copy = picture.shrunk(smaller)
-    end = screenshot.End(z, copy.mask, copy.mask)
-    found = screenshot.Look((end,), copy, model, np.tile(z[4:6], (3, 1)), 0.9)
+    end = first_look.End(z, copy.mask, copy.mask)
+    found = first_look.Look((end,), copy, model, np.tile(z[4:6], (3, 1)), 0.9)
     monkeypatch.setattr(screenshot, "read", lambda *_: reading)
-    monkeypatch.setattr(screenshot, "look", lambda *_: found)
+    monkeypatch.setattr(first_look, "look", lambda *_: found)
     held = {"edge": 0.01, "exposure": 0.05}
     result = godfit.fit(target, shader="dawntime", samples=25, fix=held)
     size = int(h * scale), int(w * scale)
@@ -451,12 +451,12 @@ def test_blocks_hold_neighbours_and_are_as_many_as_asked():
     valid = np.ones((600, 800), bool)
     valid[:, :100] = False
     picture = Picture(np.zeros((600, 800, 1), np.float32), 0.5, valid, valid * 1.0, None, "none")
-    chosen = screenshot.blocks(picture, 0)
-    assert screenshot.LAST - 256 <= len(chosen) <= screenshot.LAST + 256
+    chosen = unaided.blocks(picture, 0)
+    assert unaided.LAST - 256 <= len(chosen) <= unaided.LAST + 256
     assert valid.reshape(-1)[chosen].all()
     assert np.mean(np.diff(chosen) == 1) > 0.9
     few = dataclasses.replace(picture, valid=valid & (np.arange(800) < 120))
-    assert np.array_equal(screenshot.blocks(few, 0), np.flatnonzero(few.valid))
+    assert np.array_equal(unaided.blocks(few, 0), np.flatnonzero(few.valid))
 
 
 def test_what_leaves_many_times_the_least_is_not_followed():
@@ -465,6 +465,6 @@ def test_what_leaves_many_times_the_least_is_not_followed():
         return Read(Point(np.zeros(9, np.float32), cost, True, 1), mask, mask, None)
 
     trials = [left(cost) for cost in (30.0, 16.0, 2.0, 15.9)]
-    costs = [trial.point.cost for trial in screenshot._likely(trials, screenshot.HOPELESS)]
+    costs = [trial.point.cost for trial in first_look._likely(trials, first_look.HOPELESS)]
     assert costs == [2.0, 15.9, 16.0]
-    assert [trial.point.cost for trial in screenshot._likely(trials, 1.5)] == [2.0]
+    assert [trial.point.cost for trial in first_look._likely(trials, 1.5)] == [2.0]
