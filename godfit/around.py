@@ -8,6 +8,7 @@ import itertools
 import numpy as np
 
 from godfit.beside import Place, left, looked_around
+from godfit.brightness import NARROW, WIDE, along_gain
 from godfit.clear_rays import looks_alike
 from godfit.elsewhere import cleared, crossed, glared, likened, solved
 from godfit.side_by_side import side_by_side
@@ -39,6 +40,7 @@ def best_around(
         places = [*sizes, *side_by_side(functools.partial(likened, like=like), sizes)]
     if around:
         places = _around(turns, begun, sizes, places[len(sizes) :])
+        places.append(_walked(min(places, key=left)))
     found = itertools.chain.from_iterable(place.found for place in places)
     turns, read, *_ = min(places, key=left)
     limit, z = ALIKE * turns.total(read), read.point.coordinates
@@ -82,6 +84,15 @@ def _around(
     asked += [place.read for place in shown]
     places += cleared(best.turns, [best.read], asked, True)
     return _climbed(places, TIMES)
+
+
+def _walked(place: Place) -> Place:
+    """The best of what lies along the gain."""
+    for step in (WIDE, NARROW):
+        found = along_gain(place.turns, place.read, *step)
+        best = min(place.read, *found, key=place.turns.total)
+        place = place._replace(read=best, found=(*place.found, *found))
+    return place
 
 
 def _climbed(places: list[Place], most_times: int) -> list[Place]:

@@ -17,6 +17,7 @@ import numpy as np
 
 from godfit.image import atomic_write, encode, write_image
 from godfit.observation import LEVELS
+from godfit.side_by_side import side_by_side
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -286,11 +287,16 @@ def _remarks(result: FitResult) -> list[str]:
 def save(result: FitResult, folder: str | os.PathLike[str], command: str = "") -> None:
     """Write fit.json, fit.png and render.png; each appears whole or not at all, other files in the
     folder stay. Raises OSError or ImageError."""
-    figure = io.BytesIO()
-    plot(result).savefig(figure, format="png", dpi=100)
-    place = Path(folder)
+    figure, place, image = io.BytesIO(), Path(folder), result.render()
     place.mkdir(parents=True, exist_ok=True)
-    write_image(place / "render.png", result.render(), transfer=result.picture.transfer)
+
+    def drawn() -> None:
+        plot(result).savefig(figure, format="png", dpi=100)
+
+    def rendered() -> None:
+        write_image(place / "render.png", image, transfer=result.picture.transfer)
+
+    side_by_side(lambda work: work(), (drawn, rendered))
     atomic_write(place / "fit.png", figure.getvalue())
     text = json.dumps(as_json(result, command), indent=1, ensure_ascii=False) + "\n"
     atomic_write(place / "fit.json", text.encode())

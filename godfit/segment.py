@@ -17,6 +17,7 @@ from scipy import ndimage
 
 from godfit.disc import POWERS, TERMS, powers
 from godfit.observation import LEVELS, over_channels
+from godfit.side_by_side import side_by_side
 
 # A difference of channels this many levels off, or this many times its own spread, is another
 # colour.
@@ -105,20 +106,25 @@ def light_colour(levels: np.ndarray, half: float, valid: np.ndarray) -> np.ndarr
     white = np.ones(channels)
     if channels != 3:
         return white
-    colour = np.ones(3)
     top, bottom = levels >= LEVELS - half - 0.5, levels <= half
-    for a, b in ((0, 1), (2, 1)):
-        known = valid & ~(top[..., a] | top[..., b] | bottom[..., a] | bottom[..., b])
+
+    def against_green(a: int) -> float | None:
+        known = valid & ~(top[..., a] | top[..., 1] | bottom[..., a] | bottom[..., 1])
         if known.mean() < 0.02:
-            return white
-        one, other = levels[..., a].astype(np.float64), levels[..., b].astype(np.float64)
+            return None
+        one, other = levels[..., a].astype(np.float64), levels[..., 1].astype(np.float64)
         found, plain = field(one, known, 2, other), field(one - other, known, 2)
         near = _share(np.abs(one - found.whole) < NEAR * max(1.0, found.slope), known)
         if found.slope <= 0 or near < MOST:
-            return white
+            return None
         # A background that varies as the light does passes for a colour of the light's.
-        if near > _share(np.abs(one - other - plain.whole) < NEAR, known) + MORE:
-            colour[a] = found.slope
+        better = near > _share(np.abs(one - other - plain.whole) < NEAR, known) + MORE
+        return found.slope if better else 1.0
+
+    red, blue = side_by_side(against_green, (0, 2))
+    if red is None or blue is None:
+        return white
+    colour = np.array([red, 1.0, blue])
     return colour if np.abs(colour - 1).max() > COLOURED else white
 
 
@@ -137,13 +143,13 @@ def segments(
     colour = np.ones(channels) if colour is None else colour
     # Against the channel that is lit most, next to which no other's rounding is enlarged.
     b = max((1, 0, 2), key=lambda channel: colour[channel]) if channels == 3 else 0
-    for a in (i for i in range(channels) if i != b):
+
+    def of_another_colour(a: int) -> tuple[np.ndarray, float, float] | None:
         known = valid & ~(top[..., a] | top[..., b] | bottom[..., a] | bottom[..., b])
         if known.mean() < 0.02:
-            continue
+            return None
         difference = levels[..., a].astype(np.float64) - colour[a] / colour[b] * levels[..., b]
         expected, spread, _ = field(difference, known, 2)
-        noise, variation = max(noise, spread), max(variation, float(expected.std()))
         limit = max(LEAST, SPREADS * spread)
         off = difference - expected
         # a clipped at the top is at least so large, b at the bottom at most so small.
@@ -152,7 +158,12 @@ def segments(
         neither = (top[..., a] & top[..., b]) | (bottom[..., a] & bottom[..., b])
         wrong = np.abs(off) > limit
         wrong = np.where(more, off > limit, np.where(less, off < -limit, wrong))
-        other |= wrong & ~neither
+        return wrong & ~neither, spread, float(expected.std())
+
+    for found in side_by_side(of_another_colour, [i for i in range(channels) if i != b]):
+        if found is not None:
+            wrong, spread, varies = found
+            other, noise, variation = other | wrong, max(noise, spread), max(variation, varies)
     other = _without_specks(other & valid, SPECK if noise < 1 else 30 * SPECK)
     doubtful = _cut_off(
         levels, other, valid, over_channels(np.logical_or, top), max(SHARP, 4 * noise)

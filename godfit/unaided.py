@@ -14,6 +14,7 @@ from scipy import ndimage
 
 from godfit import first_look, inputs, screenshot
 from godfit.around import TEXTURE, best_around
+from godfit.brightness import NARROW, along_gain
 from godfit.disc import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL, DiscLight
 from godfit.edge import hardened, softened
 from godfit.elsewhere import NEAR
@@ -27,6 +28,7 @@ from godfit.occluders import lit_by
 from godfit.pass_size import HALF, pass_scale_of
 from godfit.points import model_at, predicted
 from godfit.settling import Settled, Tangent, settle
+from godfit.side_by_side import side_by_side
 from godfit.solver import Point, solve_tangent
 from godfit.turns import SOME, Read, Turns
 from godfit.verdict import Found
@@ -136,9 +138,14 @@ def found_in(
         model = turns.model
         say(f"all of the {len(seen.pixels):,} pixels")
         read = turns.descended(read._replace(seen=seen.with_mask(read.mask)), turns.noise)
-        read = turns.turned(read, TURNS)
+        whole = looked.copy.size == picture.size
+        if whole or not free[EDGE]:
+            read = turns.turned(read, TURNS)
         if free[EDGE]:
             turns, read = softened(turns, read)
+        if whole:
+            found = along_gain(turns, read, *NARROW)
+            read = min(read, *found, key=turns.total)
         if free_tint.any():
             turns, read = _coloured(turns, read, free_tint)
     else:
@@ -168,10 +175,12 @@ def found_in(
         away + inputs.shrink_mask(rival, scale)
         for rival in _rivals(first, np.asarray(reading.picture.mask))
     )
-    shifts = [
-        _shift(settled, tangent, model, seen, free, held, rival.clip(0, 1).astype(np.float32))
-        for rival in rivals
-    ]
+    shifts = side_by_side(
+        lambda rival: _shift(
+            settled, tangent, model, seen, free, held, rival.clip(0, 1).astype(np.float32)
+        ),
+        rivals,
+    )
     shifts += [np.where(free, shift, 0.0) for shift in doubts]
     if free[DENSITY]:
         shifts.append(next_dip(settled, at.covariance(free), model.samples))

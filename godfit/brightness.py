@@ -1,0 +1,50 @@
+"""How bright a disc is of which little is seen.
+
+Of one that an object or glare hides but for a crescent, many gains explain nearly as much, each
+with a crescent of its own that is as wide as it is bright, and among them the right one much more:
+a narrow well in a rough plateau, which nothing leads down to. The gain is walked along, each time
+from where the last step led.
+"""
+
+from __future__ import annotations
+
+from godfit.beside import holding
+from godfit.disc import GAIN
+from godfit.side_by_side import side_by_side
+from godfit.turns import SOME, Read, Turns
+
+# Steps, in powers of two, and how many of them to either side, most: wide ones may cross a plateau,
+# narrow ones find the bottom of a well.
+WIDE, NARROW = (0.25, 14), (0.08, 8)
+# How many times the least a step may leave for another to follow; steps that change what is left by
+# next to nothing, after which none does: nothing of the disc is seen.
+WORSE, SAME, NOTHING = 1.25, 3, 1.0
+
+
+def along_gain(turns: Turns, read: Read, step: float, most: int) -> list[Read]:
+    """What is found by steps of that size from ``read`` along the gain, everything else as it suits
+    that; the best of it last, the gain free again, where it is better than ``read``."""
+    if not turns.free[GAIN]:
+        return []
+    held, least = holding(turns, GAIN), turns.total(read)
+
+    def to_one_side(by: float) -> list[Read]:
+        found, best, before, same = [read], least, least, 0
+        while len(found) <= most and before <= WORSE * best and same < SAME:
+            z = found[-1].point.coordinates.copy()
+            z[GAIN] *= 2**by
+            there = found[-1].at(held.inside(z))
+            # What was hidden by shadows may be open under another disc.
+            ways = (there, there.unshadowed())
+            next_ = min((held.turn(way, held.noise) for way in ways), key=held.total)
+            found.append(next_)
+            left = held.total(next_)
+            same = same + 1 if abs(left - before) < NOTHING else 0
+            best, before = min(best, left), left
+        return found[1:]
+
+    found = [each for side in side_by_side(to_one_side, (-step, step)) for each in side]
+    best = min(found, key=turns.total)
+    if turns.total(best) < least:
+        found.append(turns.turned(best, SOME))
+    return found
