@@ -8,8 +8,10 @@ from where the last step led.
 
 from __future__ import annotations
 
+import numpy as np
+
 from godfit.beside import holding
-from godfit.disc import GAIN
+from godfit.disc import GAIN, LIGHT_X, LIGHT_Y, RADIUS
 from godfit.side_by_side import side_by_side
 from godfit.turns import SOME, Read, Turns
 
@@ -26,19 +28,13 @@ def along_gain(turns: Turns, read: Read, step: float, most: int) -> list[Read]:
     that; the best of it last, the gain free again, where it is better than ``read``."""
     if not turns.free[GAIN]:
         return []
-    held, least = holding(turns, GAIN), turns.total(read)
+    least = turns.total(read)
 
     def to_one_side(by: float) -> list[Read]:
         found, best, before, same = [read], least, least, 0
         while len(found) <= most and before <= WORSE * best and same < SAME:
-            z = found[-1].point.coordinates.copy()
-            z[GAIN] *= 2**by
-            there = found[-1].at(held.inside(z))
-            # What was hidden by shadows may be open under another disc.
-            ways = (there, there.unshadowed())
-            next_ = min((held.turn(way, held.noise) for way in ways), key=held.total)
-            found.append(next_)
-            left = held.total(next_)
+            found.append(_stepped(turns, found[-1], 2**by))
+            left = turns.total(found[-1])
             same = same + 1 if abs(left - before) < NOTHING else 0
             best, before = min(best, left), left
         return found[1:]
@@ -48,3 +44,27 @@ def along_gain(turns: Turns, read: Read, step: float, most: int) -> list[Read]:
     if turns.total(best) < least:
         found.append(turns.turned(best, SOME))
     return found
+
+
+def _stepped(turns: Turns, read: Read, times: float) -> Read:
+    """The best that is found with a gain so many ``times`` as large, held."""
+    held, still = holding(turns, GAIN), holding(turns, GAIN, RADIUS)
+    z = read.point.coordinates.copy()
+    z[GAIN] *= times
+    there = read.at(turns.inside(z))
+    z[RADIUS] = _radius(read, times)
+    smaller = read.at(turns.inside(z))
+    # What shadows hid may be open under another disc, and single texels hold the radius.
+    ways = (there, there.unshadowed(), smaller, still.turn(smaller.unshadowed(), turns.noise))
+    return min((held.turn(way, turns.noise) for way in ways), key=turns.total)
+
+
+def _radius(read: Read, times: float) -> float:
+    """Of a disc of which so many ``times`` less is open."""
+    z, (h, w) = read.point.coordinates, read.mask.shape[:2]
+    rows, columns = np.indices((h, w)) + 0.5
+    away = np.hypot((columns / w - z[LIGHT_X]) * w / h, 1 - rows / h - z[LIGHT_Y]).ravel()
+    order = np.argsort(away)
+    away, area = away[order], np.cumsum(read.mask.ravel()[order])
+    seen = area[max(np.searchsorted(away, z[RADIUS]) - 1, 0)] / times
+    return float(away[np.searchsorted(area, min(seen, area[-1]))])

@@ -1,0 +1,78 @@
+"""Discs of which little is seen, or nothing."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from godfit import brightness
+from godfit.beside import holding
+from godfit.brightness import NARROW, SAME, WIDE, along_gain
+from godfit.disc import EDGE, GAIN, RADIUS, DiscLight
+from godfit.models import Mitchell
+from godfit.observation import Picture
+from godfit.solver import Point
+from godfit.turns import Read, Turns
+
+SIZE = (90, 160)
+
+
+def behind(shift):
+    """(coordinates of the truth, turns, pixels seen): a disc behind an object as large that leaves
+    so much of it, in texels, what is open of which is in doubt a texel around."""
+    shading = Mitchell(0.06, 0.98, 0.8, 0.7, [0.45, 0.6], "dawntime", 40)
+    model = DiscLight(shading, [0.15, 1e-4, 0.06], np.array([[0.1, 0.2, 0.3]]))
+    rows, columns = np.indices(SIZE) + 0.5
+    away = np.hypot(columns - 0.45 * SIZE[1] + shift, rows - 0.4 * SIZE[0])
+    open_ = (away > 0.16 * SIZE[0]).astype(np.float32)
+    levels = 255 * np.asarray(model(jnp.asarray(open_)))
+    levels = np.round(levels).clip(0, 255).astype(np.float32)
+    picture = Picture(levels, 0.5, open_ > 0, open_, None, "none", 0.02)
+    truth = np.asarray(model.coordinates(), np.float32)
+    held = np.full(len(truth), np.nan, np.float32)
+    held[[0, EDGE]] = truth[0], truth[EDGE]
+    unknown = np.abs(away - 0.16 * SIZE[0]) < 1.5
+    turns = Turns(model, picture, unknown, 0.0, np.isnan(held), held, 0)
+    return truth, turns, picture.observe(picture.informative(4000, 0))
+
+
+@pytest.mark.usefixtures("single_precision")
+@pytest.mark.parametrize("times", [0.3, 4.0])
+def test_a_crescent_that_was_read_far_too_bright_or_faint_is_read_right(times):
+    """From where everything suits a wrong gain, and nothing leads away."""
+    truth, turns, seen = behind(3.0)
+    begin = truth.copy()
+    begin[GAIN] *= times
+    held = holding(turns, GAIN)
+    read = Read.of(Point(begin, np.inf, False, 0), np.asarray(turns.picture.mask), seen)
+    read = turns.turned(held.turn(held.turn(read, 2.0), 1.0), 4)
+    assert abs(np.log2(read.point.coordinates[GAIN] / truth[GAIN])) > 0.5
+    for step in (WIDE, NARROW):
+        read = min(read, *along_gain(turns, read, *step), key=turns.total)
+    found = read.point.coordinates
+    assert found[GAIN] == pytest.approx(truth[GAIN], rel=0.1)
+    assert found[RADIUS] == pytest.approx(truth[RADIUS], rel=0.05)
+
+
+@pytest.mark.usefixtures("single_precision")
+def test_of_a_hidden_disc_nothing_is_asked_for_long():
+    truth, turns, seen = behind(0.0)
+    read = Read.of(Point(truth, np.inf, False, 0), np.asarray(turns.picture.mask), seen)
+    read = turns.descended(read, turns.noise)
+    assert SAME <= len(along_gain(turns, read, *WIDE)) <= 2 * SAME + 1
+
+
+def test_a_gain_that_is_held_is_not_walked_along():
+    truth, turns, seen = behind(3.0)
+    read = Read.of(Point(truth, np.inf, False, 0), np.asarray(turns.picture.mask), seen)
+    assert along_gain(holding(turns, GAIN), read, *WIDE) == []
+
+
+@pytest.mark.parametrize("times", [0.5, 3.0])
+def test_as_bright_together_a_disc_covers_as_much_less(times):
+    truth, turns, seen = behind(5.0)
+    mask = np.asarray(turns.picture.mask)
+    read = Read.of(Point(truth, np.inf, False, 0), mask, seen)
+    rows, columns = np.indices(SIZE) + 0.5
+    away = np.hypot(columns - 0.45 * SIZE[1], rows - 0.4 * SIZE[0]) / SIZE[0]
+    areas = [mask[away < r].sum() for r in (truth[RADIUS], brightness._radius(read, times))]
+    assert areas[0] / areas[1] == pytest.approx(times, rel=0.1)
