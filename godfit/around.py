@@ -89,9 +89,8 @@ def _around(
 def _walked(place: Place) -> Place:
     """The best of what lies along the gain."""
     for step in (WIDE, NARROW):
-        found = along_gain(place.turns, place.read, *step)
-        best = min(place.read, *found, key=place.turns.total)
-        place = place._replace(read=best, found=(*place.found, *found))
+        read, found = along_gain(place.turns, place.read, *step)
+        place = place._replace(read=read, found=(*place.found, read, *found))
     return place
 
 

@@ -21,13 +21,15 @@ WIDE, NARROW = (0.25, 14), (0.08, 8)
 # How many times the least a step may leave for another to follow; steps that change what is left by
 # next to nothing, after which none does: nothing of the disc is seen.
 WORSE, SAME, NOTHING = 1.25, 3, 1.0
+# What a well leaves of the rest, most: by less, shadows that happen to suit it are as likely.
+WELL = 0.8
 
 
-def along_gain(turns: Turns, read: Read, step: float, most: int) -> list[Read]:
-    """What is found by steps of that size from ``read`` along the gain, everything else as it suits
-    that; the best of it last, the gain free again, where it is better than ``read``."""
+def along_gain(turns: Turns, read: Read, step: float, most: int) -> tuple[Read, list[Read]]:
+    """The bottom of a well, or ``read`` where there is none, and all that is found by steps of that
+    size along the gain, everything else as it suits that."""
     if not turns.free[GAIN]:
-        return []
+        return read, []
     least = turns.total(read)
 
     def to_one_side(by: float) -> list[Read]:
@@ -41,9 +43,9 @@ def along_gain(turns: Turns, read: Read, step: float, most: int) -> list[Read]:
 
     found = [each for side in side_by_side(to_one_side, (-step, step)) for each in side]
     best = min(found, key=turns.total)
-    if turns.total(best) < least:
-        found.append(turns.turned(best, SOME))
-    return found
+    if not turns.total(best) < WELL * least:
+        return read, found
+    return turns.turned(best, SOME), found
 
 
 def _stepped(turns: Turns, read: Read, times: float) -> Read:

@@ -144,8 +144,7 @@ def found_in(
         if free[EDGE]:
             turns, read = softened(turns, read)
         if whole:
-            found = along_gain(turns, read, *NARROW)
-            read = min(read, *found, key=turns.total)
+            read, _ = along_gain(turns, read, *NARROW)
         if free_tint.any():
             turns, read = _coloured(turns, read, free_tint)
     else:
