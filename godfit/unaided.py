@@ -140,6 +140,7 @@ def found_in(
         read = turns.descended(read._replace(seen=seen.with_mask(read.mask)), turns.noise)
         whole = looked.copy.size == picture.size
         if whole or not free[EDGE]:
+            # Of a large picture turns are dear, and the edge's are as good.
             read = turns.turned(read, TURNS)
         if free[EDGE]:
             turns, read = softened(turns, read)
