@@ -353,6 +353,7 @@ def test_what_other_frames_tell_is_held_until_the_rest_suits_it(monkeypatch):
     monkeypatch.setattr(elsewhere, "seen_clearly", lambda *_: [])
     monkeypatch.setattr(glare, "circles", lambda *_: np.zeros((0, 3)))
     monkeypatch.setattr(beside, "BESIDE", {})
+    monkeypatch.setattr(around, "along_gain", lambda turns, read, *step: (read, []))
     picture, truth, turns = lit(1e-5, bar=True)
     z = truth.copy()
     z[[RADIUS, GAIN, DENSITY]] *= 1.5, 1 / 1.5, 0.9
