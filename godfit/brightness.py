@@ -26,9 +26,9 @@ WELL = 0.8
 
 
 def along_gain(turns: Turns, read: Read, step: float, most: int) -> tuple[Read, list[Read]]:
-    """The bottom of a well, or ``read`` where there is none, and all that is found along the gain by
-    steps of that size, in powers of two, at ``most`` so many to either side; everything else as it
-    suits the gain."""
+    """The bottom of a well, or ``read`` where there is none, and all that is found along the gain
+    by steps of that size, in powers of two, at ``most`` so many to either side; everything else as
+    it suits the gain."""
     if not turns.free[GAIN]:
         return read, []
     least = turns.total(read)
@@ -63,7 +63,7 @@ def _stepped(turns: Turns, read: Read, times: float) -> Read:
 
 
 def _radius(read: Read, times: float) -> float:
-    """In picture heights, of a disc about the same light of which so many ``times`` less is open."""
+    """In picture heights, of a disc about the same light of which so much less is open."""
     z, (h, w) = read.point.coordinates, read.mask.shape[:2]
     rows, columns = np.indices((h, w)) + 0.5
     away = np.hypot((columns / w - z[LIGHT_X]) * w / h, 1 - rows / h - z[LIGHT_Y]).ravel()
