@@ -8,9 +8,9 @@ import itertools
 import numpy as np
 
 from godfit.beside import Place, left, looked_around
-from godfit.brightness import NARROW, WIDE, along_gain
+from godfit.brightness import NARROW, WIDE, along_density, along_gain
 from godfit.clear_rays import looks_alike
-from godfit.elsewhere import cleared, crossed, glared, likened, solved
+from godfit.elsewhere import cleared, crossed, glared, likened, of_each_size, solved
 from godfit.side_by_side import side_by_side
 from godfit.turns import Read, Turns
 
@@ -20,8 +20,9 @@ LEFT = 2, 1, 1
 EARLY, TIMES, HEADWAY = 1, 9, 0.03
 # How much more may be left by what is as likely.
 ALIKE = 1.05
-# What leaves so many times the least is not looked around, nor what clear rays show from there.
-FAR_WORSE, CLEARED = 2.0, 1.5
+# What leaves so many times the least is not looked around, nor what clear rays show from there, nor
+# are gain and density walked along.
+FAR_WORSE, CLEARED, AS_LIKELY = 2.0, 1.5, 1.25
 # Texture, in levels, next to which no disc is told to a part of a texel.
 TEXTURE = 1.0
 
@@ -40,7 +41,7 @@ def best_around(
         places = [*sizes, *side_by_side(functools.partial(likened, like=like), sizes)]
     if around:
         places = _around(turns, begun, sizes, places[len(sizes) :])
-        places.append(_walked(min(places, key=left)))
+        places += [_walked(place) for place in _likely(of_each_size(places), AS_LIKELY)]
     found = itertools.chain.from_iterable(place.found for place in places)
     turns, read, *_ = min(places, key=left)
     limit, z = ALIKE * turns.total(read), read.point.coordinates
@@ -87,10 +88,16 @@ def _around(
 
 
 def _walked(place: Place) -> Place:
-    """The best of what lies along the gain."""
+    """The best of what lies along the gain and, unless that explains it, along density."""
+
+    def best(place: Place, walked: tuple[Read, list[Read]]) -> Place:
+        read, found = walked
+        return place._replace(read=read, found=(*place.found, read, *found))
+
     for step in (WIDE, NARROW):
-        read, found = along_gain(place.turns, place.read, *step)
-        place = place._replace(read=read, found=(*place.found, read, *found))
+        place = best(place, along_gain(place.turns, place.read, *step))
+    if not place.explained:
+        place = best(place, along_density(place.turns, place.read))
     return place
 
 
@@ -107,9 +114,14 @@ def _climbed(places: list[Place], most_times: int) -> list[Place]:
         if time >= len(LEFT) and not places[0].left < (1 - HEADWAY) * before:
             break
         before = places[0].left
-        places = [place for place in places if place.left < FAR_WORSE * before][:most]
-        places = [looked_around(place) for place in places]
+        places = _likely(places, FAR_WORSE)
+        places = [*map(looked_around, places[:most]), *places[most:]]
     return places
+
+
+def _likely(places: list[Place], times: float) -> list[Place]:
+    """These, likeliest first, without those that leave so many ``times`` the least."""
+    return [place for place in places if place.left < times * places[0].left]
 
 
 def _apart(places: list[Place]) -> list[Place]:

@@ -33,6 +33,8 @@ ON = 4
 # sum of two uniform errors, and a little). The rest is where an object's edge is not known, and
 # costs no more than so many times what one rounding does.
 MOST, ONCE, TWICE, REST = 0.9, 1.0, 1.4, 2.5
+# Noise in levels that what is not solved yet may be off by, less and less.
+NEAR = (4.0, 2.0, 1.0)
 # What leaves so much more before the rest has moved is given up.
 WORSE = 1.25
 
@@ -106,6 +108,14 @@ def holding(turns: Turns, *which: int) -> Turns:
     return dataclasses.replace(turns, free=free)
 
 
+def nearer(turns: Turns, read: Read) -> Read:
+    """What is not solved yet, turn by turn, with less and less noise allowed for."""
+    read = turns.solved(read, NEAR[0])
+    for sigma in NEAR[1:]:
+        read = turns.turn(read, sigma)
+    return read
+
+
 def looked_around(place: Place) -> Place:
     """Once to either side along every coordinate, from the best so far, and on that way while it
     helps."""
@@ -153,7 +163,7 @@ def _beside(turns: Turns, read: Read, index: int, dips: int, by: float) -> Read:
     """What is found where one coordinate is moved, across so many ``dips`` of density if that goes
     along, its shadows and the rest first, and then itself: single taps and texels make the way
     there too rough to be gone down."""
-    z, held = read.point.coordinates.copy(), [index]
+    z, which = read.point.coordinates.copy(), [index]
     density = float(z[DENSITY])
     if index == DENSITY:
         z[DENSITY] *= 1 + np.sign(by) * dips / turns.model.samples
@@ -162,7 +172,7 @@ def _beside(turns: Turns, read: Read, index: int, dips: int, by: float) -> Read:
         if dips:
             z[DENSITY] *= 1 - np.sign(by) * dips / turns.model.samples
             by = max((1 - z[DENSITY]) / max(1 - density, 1e-6) - 1, LEAST - 1)
-            held.append(DENSITY)
+            which.append(DENSITY)
         z[RADIUS] *= 1 + by
         if turns.free[GAIN]:
             z[GAIN] /= 1 + by
@@ -172,7 +182,10 @@ def _beside(turns: Turns, read: Read, index: int, dips: int, by: float) -> Read:
         z[index] *= 2**by
     else:
         z[index] += by / (density * read.mask.shape[1 if index == LIGHT_X else 0])
-    there = holding(turns, *held).turn(read.at(turns.inside(z)), turns.noise)
-    if turns.total(there) > WORSE * turns.total(read):
-        return there
-    return turns.turn(there, turns.noise)
+    held, there = holding(turns, *which), read.at(turns.inside(z))
+    most = WORSE * turns.total(read)
+    found = held.turn(there, turns.noise)
+    if turns.total(found) > most:
+        # What is off by much may have passed for foreign, or for a shadow.
+        found = held.turn(held.solved(there, NEAR[0]), turns.noise)
+    return found if turns.total(found) > most else turns.turn(found, turns.noise)

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from godfit import glare
-from godfit.beside import BESIDE, Place, holding, left, place_of
+from godfit.beside import BESIDE, NEAR, Place, holding, left, nearer, place_of
 from godfit.clear_rays import looks_alike, seen_clearly
 from godfit.disc import DENSITY, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, VEIL
 from godfit.edge import PARTS, hardened
@@ -20,8 +20,6 @@ from godfit.observation import shrink
 from godfit.side_by_side import side_by_side
 from godfit.turns import SOME, Read, Turns
 
-# Noise in levels that the copy's answer may be off by, less and less.
-NEAR = (4.0, 2.0, 1.0)
 # Share of how far is looked beside an answer at first: of all of it where clear rays have shown the
 # disc, of the light where glare has.
 CLOSE, NEARBY = 0.25, 0.5
@@ -94,11 +92,11 @@ def glared(places: list[Place]) -> list[Place]:
 
     def suited(place: Place) -> Place:
         held = holding(place.turns, LIGHT_X, LIGHT_Y)
-        found = held.turned(_nearer(held, place.read), SOME)
+        found = held.turned(nearer(held, place.read), SOME)
         return place_of(place.turns, found, dict.fromkeys((LIGHT_X, LIGHT_Y), NEARBY))
 
     found = side_by_side(begun, itertools.product(places, circles))
-    return side_by_side(suited, _of_each_size(found))
+    return side_by_side(suited, of_each_size(found))
 
 
 def crossed(places: list[Place]) -> list[Place]:
@@ -111,10 +109,10 @@ def crossed(places: list[Place]) -> list[Place]:
         z[list(DISC)] = other[list(DISC)]
         return _suited(pair[0].turns, pair[0].read, z)
 
-    return side_by_side(begun, itertools.permutations(_of_each_size(places), 2))
+    return side_by_side(begun, itertools.permutations(of_each_size(places), 2))
 
 
-def _of_each_size(places: list[Place]) -> list[Place]:
+def of_each_size(places: list[Place]) -> list[Place]:
     """The likeliest of each size of light pass."""
     best: dict[tuple[int, ...], Place] = {}
     for place in sorted(places, key=left):
@@ -127,16 +125,9 @@ def _suited(
 ) -> Place:
     """A disc found elsewise (p,), ``which`` is held until the rest suits it."""
     held = holding(turns, *which)
-    found = held.solved(_first_sight(turns, read).unshadowed().at(coordinates), NEAR[0])
-    found = turns.turned(_nearer(held, found), SOME)
+    there = _first_sight(turns, read).unshadowed().at(coordinates)
+    found = turns.turned(nearer(held, there), SOME)
     return place_of(turns, found, dict.fromkeys(BESIDE, CLOSE))
-
-
-def _nearer(turns: Turns, read: Read) -> Read:
-    """Turn by turn, with less and less noise allowed for."""
-    for sigma in NEAR[1:]:
-        read = turns.turn(read, sigma)
-    return read
 
 
 def _first_sight(turns: Turns, read: Read) -> Read:

@@ -60,7 +60,7 @@ def lasso(
     far it is from what was ``thought`` (m,), and half of ``pull`` times the square of that. It ends
     once the longest step of a sweep is less than ``short``."""
     pull, flip = (np.full(len(thought), price, np.float64) for price in (pull, flip))
-    enough = GAIN * flip.min(initial=np.inf)
+    enough = GAIN * flip.max(initial=0)
     share = start.astype(np.float64)
     off = along.weight * (goal - design @ share)
     step = along.step(goal - design @ share)

@@ -181,9 +181,14 @@ class Picture:
         return over_channels(np.logical_or, self.above)
 
     @functools.cached_property
+    def glare(self) -> np.ndarray:
+        """(h, w): pixels at the top of the scale in every channel."""
+        return over_channels(np.logical_and, self.above)
+
+    @functools.cached_property
     def readable(self) -> np.ndarray:
         """(h, w): valid pixels that are not at the top of the scale in every channel."""
-        return self.valid & ~over_channels(np.logical_and, self.above)
+        return self.valid & ~self.glare
 
     @functools.cached_property
     def repeats(self) -> float:

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import sparse
 
+from godfit import outline
 from godfit.disc import DARK, DiscLight, terms
 from godfit.kept import kept
 from godfit.lasso import Along, lasso
@@ -65,6 +66,7 @@ class Question(NamedTuple):
     design: sparse.csc_matrix
     weights: np.ndarray
     noise: float
+    hidden: np.ndarray
 
     def answered(
         self,
@@ -86,12 +88,22 @@ class Question(NamedTuple):
         each = many * noise**2 * len(goal) / (picture.size[0] * picture.size[1])
         for _ in range(ROUNDS if near is None else 1):
             along = Along(moves, weight, noise)
-            share = lasso(design, goal, along, self.thought, share, PULL * each, FLIP * each)
+            thought, flip = self._prices(out)
+            share = lasso(design, goal, along, thought, share, PULL * each, flip * each)
+            out[self.texels] = (share / self.counts)[self.cell]
             step = along.step(goal - design @ share)
             off = np.abs(goal - design @ share - moves @ step)
             weight = np.minimum(1, noise * HUBER / np.maximum(off, 1e-9)).astype(np.float32)
-        out[self.texels] = (share / self.counts)[self.cell]
         return Shadows(out.reshape(picture.mask.shape).astype(np.float32), step, weight)
+
+    def _prices(self, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(m,) each: what every cell is thought to be, and what it costs to be otherwise, where
+        what is hidden is thought to be as what is around it in ``mask`` (h w,)."""
+        side, by = outline.thought(np.minimum(mask, 1).reshape(self.picture.mask.shape))
+        many = np.bincount(self.cell)
+        side, by = (np.bincount(self.cell, a.ravel()[self.texels]) / many for a in (side, by))
+        thought = np.where(self.hidden, (side > 0.5) * self.counts, self.thought)
+        return thought.astype(np.float32), FLIP * np.where(self.hidden, by, 1)
 
 
 def asked(
@@ -127,8 +139,11 @@ def asked(
     counts = worth.ravel()[texels[each]]
     design.data /= np.repeat(counts, np.diff(design.indptr))
     thought = prior.ravel()[texels[each]].astype(np.float32) * counts
+    hidden = (outline.hidden(picture, unknown, (h, w)) & ~rim).ravel()[texels[each]]
     noise = max(1.0, texture)
-    return Question(picture, texels, cell, thought, counts, pixels, goal, design, weights, noise)
+    return Question(
+        picture, texels, cell, thought, counts, pixels, goal, design, weights, noise, hidden
+    )
 
 
 def _cells(texels: np.ndarray, prior: np.ndarray, rim: np.ndarray) -> np.ndarray:
@@ -172,12 +187,17 @@ def texels_of(
     return x, y
 
 
-def price(model: DiscLight, mask: np.ndarray, thought: np.ndarray, share: float) -> float:
+def price(
+    model: DiscLight, mask: np.ndarray, thought: np.ndarray, hidden: np.ndarray, share: float
+) -> float:
     """What it costs, in log-likelihood of that ``share`` of a picture's pixels, that ``mask``
-    (h, w) is not what was ``thought`` (h, w) under ``model``, at the rim by how bright it is."""
-    _, worth = _rim(model, (mask.shape[0], mask.shape[1]))
-    change = np.abs(np.minimum(mask * worth, 1) - thought * worth)
-    return share * float(FLIP * change.sum() + PULL / 2 * (change**2).sum())
+    (h, w) is not what was ``thought`` (h, w) under ``model``, at the rim by how bright it is, and
+    how much longer its outline is where that is ``hidden`` (h, w)."""
+    rim, worth = _rim(model, (mask.shape[0], mask.shape[1]))
+    hidden = hidden & ~rim
+    change = np.where(hidden, 0, np.abs(np.minimum(mask * worth, 1) - thought * worth))
+    longer = outline.length(np.minimum(mask, 1), hidden) - outline.length(thought, hidden)
+    return share * float(FLIP * (change.sum() + longer) + PULL / 2 * (change**2).sum())
 
 
 def _rim(model: DiscLight, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:

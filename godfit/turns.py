@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from godfit import outline
 from godfit.disc import DiscLight
 from godfit.likelihood import log_likelihood
 from godfit.observation import Observation, Picture, shrink
@@ -137,7 +138,12 @@ class Turns:
         """What a solve left and what the shadows cost."""
         share = len(read.seen.pixels) / (self.picture.size[0] * self.picture.size[1])
         model = model_at(read.point.coordinates, self.held, self.model)
-        return read.point.cost + price(model, read.mask, read.thought, share)
+        return read.point.cost + price(model, read.mask, read.thought, self.hidden(read), share)
+
+    def hidden(self, read: Read) -> np.ndarray:
+        """(h, w) where in ``read``'s mask glare hides what stands in the way."""
+        h, w = read.mask.shape[:2]
+        return outline.hidden(self.picture, self.unknown, (h, w))
 
     def turn(self, read: Read, sigma: float) -> Read:
         """The shadows under the light that was found, and the light under these."""

@@ -14,10 +14,10 @@ from scipy import ndimage
 
 from godfit import first_look, inputs, screenshot
 from godfit.around import TEXTURE, best_around
+from godfit.beside import NEAR
 from godfit.brightness import NARROW, along_gain
 from godfit.disc import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL, DiscLight
 from godfit.edge import hardened, softened
-from godfit.elsewhere import NEAR
 from godfit.errors import InputError
 from godfit.explained import grain
 from godfit.image import Image

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from godfit import brightness
-from godfit.beside import holding
-from godfit.brightness import NARROW, SAME, WIDE, along_gain
-from godfit.disc import EDGE, GAIN, RADIUS, DiscLight
+from godfit.beside import holding, nearer
+from godfit.brightness import NARROW, SAME, WIDE, along_density, along_gain
+from godfit.disc import DENSITY, EDGE, GAIN, RADIUS, DiscLight
 from godfit.models import Mitchell
 from godfit.observation import Picture
 from godfit.solver import Point
@@ -80,3 +80,25 @@ def test_as_bright_together_a_disc_covers_as_much_less(times):
     away = np.hypot(columns - 0.45 * SIZE[1], rows - 0.4 * SIZE[0]) / SIZE[0]
     areas = [mask[away < r].sum() for r in (truth[RADIUS], brightness._radius(read, times))]
     assert areas[0] / areas[1] == pytest.approx(times, rel=0.1)
+
+
+@pytest.mark.usefixtures("single_precision")
+@pytest.mark.parametrize("dips", [-3, 3])
+def test_a_disc_that_was_read_some_dips_of_density_off_is_read_right(dips):
+    """From where everything suits a wrong density, and no solve leads away."""
+    truth, turns, seen = behind(8.0)
+    begin = truth.copy()
+    begin[DENSITY] *= 1 + dips / turns.model.samples
+    held = holding(turns, DENSITY)
+    read = Read.of(Point(begin, np.inf, False, 0), np.asarray(turns.picture.mask), seen)
+    stuck = turns.turned(nearer(held, read), 4)
+    read, _ = along_density(turns, stuck)
+    off = abs(read.point.coordinates[DENSITY] - truth[DENSITY])
+    assert off < 0.2 * abs(stuck.point.coordinates[DENSITY] - truth[DENSITY])
+    assert turns.total(read) < 0.5 * turns.total(stuck)
+
+
+def test_a_density_that_is_held_is_not_walked_along():
+    truth, turns, seen = behind(3.0)
+    read = Read.of(Point(truth, np.inf, False, 0), np.asarray(turns.picture.mask), seen)
+    assert along_density(holding(turns, DENSITY), read) == (read, [])

@@ -169,7 +169,7 @@ def test_a_rim_may_be_cut_in_any_way(scale):
         assert np.abs(found - truth)[~rim].max() < 0.25
     brighter = np.where(rim, 1 / thought, 1)
     cost = rim.sum() * (FLIP * 0.94 + PULL / 2 * 0.94**2)
-    np.testing.assert_allclose(price(smaller, brighter, open_, 0.3), 0.3 * cost, rtol=1e-4)
+    np.testing.assert_allclose(price(smaller, brighter, open_, ~rim, 0.3), 0.3 * cost, rtol=1e-4)
 
 
 def lit(edge, bar):
@@ -353,7 +353,8 @@ def test_what_other_frames_tell_is_held_until_the_rest_suits_it(monkeypatch):
     monkeypatch.setattr(elsewhere, "seen_clearly", lambda *_: [])
     monkeypatch.setattr(glare, "circles", lambda *_: np.zeros((0, 3)))
     monkeypatch.setattr(beside, "BESIDE", {})
-    monkeypatch.setattr(around, "along_gain", lambda turns, read, *step: (read, []))
+    for walk in ("along_gain", "along_density"):
+        monkeypatch.setattr(around, walk, lambda turns, read, *step: (read, []))
     picture, truth, turns = lit(1e-5, bar=True)
     z = truth.copy()
     z[[RADIUS, GAIN, DENSITY]] *= 1.5, 1 / 1.5, 0.9
@@ -450,6 +451,7 @@ def test_radius_and_density_go_from_dip_to_dip(monkeypatch):
         return read
 
     monkeypatch.setattr(Turns, "turn", turn)
+    monkeypatch.setattr(Turns, "solved", lambda self, read, sigma: read)
     monkeypatch.setattr(Turns, "total", lambda self, read: 2.0 if len(tried) else 1.0)
     # .2 of what is left of the ray, .2, are 2 of 40 taps over a density of .8.
     for by, taps in ((0.2, -2), (-0.2, 2), (0.02, -1)):
