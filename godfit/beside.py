@@ -35,7 +35,8 @@ ON = 4
 MOST, ONCE, TWICE, REST = 0.9, 1.0, 1.4, 2.5
 # Noise in levels that what is not solved yet may be off by, less and less.
 NEAR = (4.0, 2.0, 1.0)
-# What leaves so much more before the rest has moved is given up.
+# What leaves so much more before the rest has moved is tried once more with noise allowed for, and
+# then given up.
 WORSE = 1.25
 
 
