@@ -35,6 +35,8 @@ FIRST = len(SCATTERING) + 2 + len(SHAPE)
 # Coordinates: attenuation, density, what the disc adds, light, radius, edge, what the veil adds.
 KAPPA, DENSITY, GAIN, LIGHT_X, LIGHT_Y, RADIUS, EDGE, VEIL = range(1, 9)
 CHANNELS = "rgb"
+# No ordinary pass is darker than black: in the middle of the picture, where that is its first term.
+DARKEST = 0.0
 # As dark as a veil that is seen may be.
 DARK = 0.01
 # Texels that a disc's edge is wide, least, in derivatives: a harder one steps from texel to texel.
@@ -137,9 +139,10 @@ class DiscLight(AbstractModel):
         k, c = self.background.shape
         for i, j in POWERS[:k]:
             place = "x" * i + "y" * j
+            least = -np.inf if place else DARKEST
             for channel in CHANNELS if c == 3 else ("",):
                 name = "_".join(filter(None, ("background", channel, place)))
-                rows.append(Parameter(name, "", "1", -np.inf, np.inf, "of the ordinary pass"))
+                rows.append(Parameter(name, "", "1", least, np.inf, "of the ordinary pass"))
         rows += TINT[: self.tint.size]
         return {row.name: row for row in rows}
 
@@ -186,7 +189,9 @@ class DiscLight(AbstractModel):
         lower, upper = self.shading.bounds()
         count, tint = self.background.size, self.tint.size
         inf = float("inf")
-        lower = [*lower, 1e-3, 1e-6, 0.0, *[-inf] * count, *[0.0] * tint]
+        channels = self.background.shape[1]
+        back = [DARKEST] * channels + [-inf] * (count - channels)
+        lower = [*lower, 1e-3, 1e-6, 0.0, *back, *[0.0] * tint]
         return lower, [*upper, 2.0, 0.5, inf, *[inf] * (count + tint)]
 
     def linear(self) -> np.ndarray:

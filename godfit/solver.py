@@ -227,9 +227,16 @@ def _inside(start, free, model, run, slope) -> Point:
     one: a true value can lie *on* a bound, which a sigmoid could never reach.
     """
     lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
+
+    def inward(z, of):
+        falls = np.asarray(slope(z)) if of.any() else np.zeros_like(z)
+        return of & (((z <= lower) & (falls < 0)) | ((z >= upper) & (falls > 0)))
+
     z = np.clip(np.asarray(start, np.float32), lower, upper)
-    moving = free.copy()
-    steps = 0
+    # What would leave at once need not be seen to.
+    bound = free & ((z <= lower) | (z >= upper))
+    moving = free & (~bound | inward(z, bound))
+    released, steps = False, 0
     for _ in range(MAX_ACTIVE_SET_ROUNDS):
         value, cost, settled, taken = run(z, moving)
         steps += int(taken)
@@ -241,14 +248,9 @@ def _inside(start, free, model, run, slope) -> Point:
         if out.any():
             moving = moving & ~out
             continue
-        stuck = free & ~moving
-        if slope is None or not stuck.any():
-            break
-        falls = np.asarray(slope(z))
-        inward = stuck & (((z <= lower) & (falls < 0)) | ((z >= upper) & (falls > 0)))
-        if not inward.any():
-            break
         # Released ones get no second chance to leave: that would go round for ever.
-        moving = moving | inward
-        slope = None
+        back = inward(z, free & ~moving & (not released))
+        if not back.any():
+            break
+        moving, released = moving | back, True
     return Point(z, float(cost), bool(settled), steps)

@@ -14,10 +14,16 @@ from godfit.models import AbstractModel
 from godfit.noise import WITHIN_ROUNDING
 from godfit.observation import LEVELS, Observation, Picture
 from godfit.points import model_at
-from godfit.result import FitResult
+from godfit.result import Estimate, FitResult
 from godfit.settling import Settled, Tangent
 from godfit.solver import linearise
 
+# Error of the light's place, as a share of a picture without a mask, that is no place.
+ANYWHERE = 0.1
+FROM_ANYWHERE = (
+    "no rays were found: what may be light comes from {:.2f} +- {:.2f}, {:.2f} +- {:.2f} of the "
+    "picture, which is from anywhere"
+)
 # Times over that a picture says the same, least, that is a line of pixels, repeated.
 A_LINE = 16
 STRUCTURED = (
@@ -106,6 +112,7 @@ def verdict(
         found.opened,
         used,
     )
+    objection = found.objection or _from_anywhere(picture, told.params)
     target = picture.levels.reshape(-1, picture.channels)[pixels].reshape(-1)
     error = np.clip(at.prediction, 0, LEVELS) - target
     rmse = float(np.sqrt(np.mean(error.astype(np.float64) ** 2)))
@@ -113,17 +120,17 @@ def verdict(
     allowed = WITHIN_ROUNDING * (2 if errs.upsampled > 1 else 1)
     trusted = settled.sigma <= allowed or left.like_noise or found.scatter is not None
     remarks = found.remarks
-    if picture.foreign and not found.objection:
+    if picture.foreign and not objection:
         # A person is told, and errors are widened: a model so rough is never all of a picture.
         remarks += () if trusted else (STRUCTURED.format(settled.sigma, left.correlation),)
         trusted = True
-    trusted = trusted and not found.objection
+    trusted = trusted and not objection
     # One line of pixels, repeated, has so many explanations that its errors say nothing.
     a_line = is_a_line(picture) and int(found.free.sum()) > 2
     converged = trusted and settled.quiet and not a_line
     return FitResult(
         converged=converged,
-        message=found.objection or _message(settled, trusted, left, a_line),
+        message=objection or _message(settled, trusted, left, a_line),
         model=told.model,
         params=told.params,
         combined=told.combined,
@@ -150,6 +157,14 @@ def verdict(
         simulated=found.scatter is not None,
         inputs=files,
     )
+
+
+def _from_anywhere(picture: Picture, params: dict[str, Estimate]) -> str:
+    """Why light of no known place is no rays, where there is no mask; empty where it has one."""
+    at = [params[name] for name in ("light_x", "light_y") if name in params]
+    if not picture.foreign or not any(e.stderr is not None and e.stderr > ANYWHERE for e in at):
+        return ""
+    return FROM_ANYWHERE.format(*(v for e in at for v in (e.value, e.stderr or 0.0)))
 
 
 def _growth(covariance: np.ndarray, before: np.ndarray, free: np.ndarray) -> float:

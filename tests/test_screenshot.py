@@ -13,16 +13,18 @@ from scipy.stats import norm
 import godfit
 from godfit import beginnings, beside, first_look, screen_disc, screenshot, unaided
 from godfit.bright_pass import BrightPass
-from godfit.disc import FIRST, GAIN, LIGHT_X, LIGHT_Y, SOFT, VEIL, DiscLight
+from godfit.disc import FIRST, GAIN, LIGHT_X, LIGHT_Y, SOFT, TERMS, VEIL, DiscLight
 from godfit.explained import explained, grain
 from godfit.inputs import image, shrink_mask
 from godfit.likelihood import ANY_LEVEL, deviance_residuals, interval
 from godfit.models import Mitchell
 from godfit.observation import Picture
 from godfit.occluders import asked
+from godfit.result import Estimate
 from godfit.segment import light_colour, panels, segments
-from godfit.solver import Point
+from godfit.solver import Point, solve
 from godfit.turns import Read
+from godfit.verdict import _from_anywhere
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
 from screens import made
@@ -388,6 +390,41 @@ def test_without_rays_a_fit_does_not_converge(screen, looks, dark, monkeypatch):
     assert not result.converged
     assert "no rays were found" in result.message
     assert ("nothing is brighter" in result.message) == dark
+
+
+@pytest.mark.parametrize(
+    ("foreign", "off", "said"), [(0.02, 0.05, False), (0.02, 0.2, True), (0.0, 0.2, False)]
+)
+def test_light_from_anywhere_is_no_rays(foreign, off, said):
+    """Where nobody gave a mask: what is bright there need not be light."""
+    params = {"light_x": Estimate(0.4, 0.01), "light_y": Estimate(0.6, off)}
+    black = image(np.zeros((40, 40, 3), np.uint8), "none")
+    picture = Picture.make(black, np.ones((40, 40), np.float32), None, None)
+    words = _from_anywhere(dataclasses.replace(picture, foreign=foreign), params)
+    assert ("no rays were found" in words and f"0.60 +- {off:.2f}" in words) == said
+
+
+@pytest.mark.usefixtures("single_precision")
+def test_no_background_is_darker_than_black():
+    """Where it would have to be, under more veil than there is."""
+    model = disc_model(samples=25)
+    back = np.full((TERMS[1], 3), 0.02)
+    back[0] = 0, 0, 0.2
+    model = DiscLight(model.shading, model.shape, back)
+    open_ = np.ones(SIZE, np.float32)
+    drawn = np.asarray(model(jnp.asarray(open_), size=SIZE))
+    levels = np.round(255 * drawn.clip(0, 1)).astype(np.uint8)
+    picture = Picture.make(image(levels, "none"), open_, None, None)
+    start = np.array(model.coordinates(), np.float32)
+    start[VEIL] *= 3
+    free, held = np.arange(len(start)) >= FIRST, np.full_like(start, np.nan)
+    seen = picture.observe(np.arange(0, SIZE[0] * SIZE[1], 7))
+    found = solve(start, free, held, model, seen, 1.0).coordinates
+    assert (found[FIRST : FIRST + 2] == 0).all()
+    assert 0 < found[FIRST + 2] < 0.2
+    anyhow = solve(start, free, held, model, seen, 1.0, bounded=False).coordinates
+    assert (anyhow[FIRST : FIRST + 2] < -0.01).all()
+    assert [p.lower for p in model.parameters.values()][FIRST:] == model.bounds()[0][FIRST:]
 
 
 def test_what_is_held_makes_the_same_light_of_fewer_taps():
