@@ -35,8 +35,6 @@ FIRST = len(SCATTERING) + 2 + len(SHAPE)
 # Coordinates: attenuation, density, what the disc adds, light, radius, edge, what the veil adds.
 KAPPA, DENSITY, GAIN, LIGHT_X, LIGHT_Y, RADIUS, EDGE, VEIL = range(1, 9)
 CHANNELS = "rgb"
-# No ordinary pass is darker than black: in the middle of the picture, where that is its first term.
-DARKEST = 0.0
 # As dark as a veil that is seen may be.
 DARK = 0.01
 # Texels that a disc's edge is wide, least, in derivatives: a harder one steps from texel to texel.
@@ -134,15 +132,20 @@ class DiscLight(AbstractModel):
         return np.concatenate([self.shading.used, rest])
 
     @property
+    def darkest(self) -> float:
+        """Least value of a background that is constant. A field is but approached by its terms,
+        and the way there may lead through the dark."""
+        return 0.0 if len(self.background) == 1 else -np.inf
+
+    @property
     def parameters(self) -> dict[str, Parameter]:
         rows = [*SCATTERING, *light_parameters(1), *self.rows]
         k, c = self.background.shape
         for i, j in POWERS[:k]:
             place = "x" * i + "y" * j
-            least = -np.inf if place else DARKEST
             for channel in CHANNELS if c == 3 else ("",):
                 name = "_".join(filter(None, ("background", channel, place)))
-                rows.append(Parameter(name, "", "1", least, np.inf, "of the ordinary pass"))
+                rows.append(Parameter(name, "", "1", self.darkest, np.inf, "of the ordinary pass"))
         rows += TINT[: self.tint.size]
         return {row.name: row for row in rows}
 
@@ -189,9 +192,7 @@ class DiscLight(AbstractModel):
         lower, upper = self.shading.bounds()
         count, tint = self.background.size, self.tint.size
         inf = float("inf")
-        channels = self.background.shape[1]
-        back = [DARKEST] * channels + [-inf] * (count - channels)
-        lower = [*lower, 1e-3, 1e-6, 0.0, *back, *[0.0] * tint]
+        lower = [*lower, 1e-3, 1e-6, 0.0, *[self.darkest] * count, *[0.0] * tint]
         return lower, [*upper, 2.0, 0.5, inf, *[inf] * (count + tint)]
 
     def linear(self) -> np.ndarray:
