@@ -8,7 +8,7 @@ import itertools
 import numpy as np
 
 from godfit.beside import Place, left, looked_around
-from godfit.brightness import NARROW, WIDE, along_density, along_gain
+from godfit.brightness import NARROW, WIDE, WORSE, along_density, along_gain
 from godfit.clear_rays import looks_alike
 from godfit.elsewhere import cleared, crossed, glared, likened, of_each_size, solved
 from godfit.side_by_side import side_by_side
@@ -23,6 +23,8 @@ ALIKE = 1.05
 # What leaves so many times the least is not looked around, nor what clear rays show from there, nor
 # are gain and density walked along.
 FAR_WORSE, CLEARED, AS_LIKELY = 2.0, 1.5, 1.25
+# Times the least that a step may leave on the way down, which is rough.
+DOWNHILL = 1.03
 # Texture, in levels, next to which no disc is told to a part of a texel.
 TEXTURE = 1.0
 
@@ -88,7 +90,7 @@ def _around(
 
 
 def _walked(place: Place) -> Place:
-    """The best of what lies along the gain and, unless that explains it, along density."""
+    """The best of what lies along the gain and along density: what is explained, downhill only."""
 
     def best(place: Place, walked: tuple[Read, list[Read]]) -> Place:
         read, found = walked
@@ -96,9 +98,8 @@ def _walked(place: Place) -> Place:
 
     for step in (WIDE, NARROW):
         place = best(place, along_gain(place.turns, place.read, *step))
-    if not place.explained:
-        place = best(place, along_density(place.turns, place.read))
-    return place
+    worse = DOWNHILL if place.explained else WORSE
+    return best(place, along_density(place.turns, place.read, worse))
 
 
 def _climbed(places: list[Place], most_times: int) -> list[Place]:

@@ -39,22 +39,27 @@ def along_gain(turns: Turns, read: Read, step: float, most: int) -> tuple[Read, 
     return _along(turns, read, sides, most)
 
 
-def along_density(turns: Turns, read: Read) -> tuple[Read, list[Read]]:
-    """The same by dips of density, of discs that are seen from as far."""
+def along_density(turns: Turns, read: Read, worse: float = WORSE) -> tuple[Read, list[Read]]:
+    """The same by dips of density, of discs that are seen from as far, for as long as a step leaves
+    no more than so many times the least."""
     if not turns.free[[DENSITY, RADIUS, GAIN]].all():
         return read, []
     sides = [functools.partial(_denser, turns, dips=by) for by in (-1, 1)]
-    return _along(turns, read, sides, DIPS)
+    return _along(turns, read, sides, DIPS, worse)
 
 
 def _along(
-    turns: Turns, read: Read, sides: list[Callable[[Read], Read]], most: int
+    turns: Turns,
+    read: Read,
+    sides: list[Callable[[Read], Read]],
+    most: int,
+    worse: float = WORSE,
 ) -> tuple[Read, list[Read]]:
     least = turns.total(read)
 
     def to_one_side(stepped: Callable[[Read], Read]) -> list[Read]:
         found, best, before, same = [read], least, least, 0
-        while len(found) <= most and before <= WORSE * best and same < SAME:
+        while len(found) <= most and before <= worse * best and same < SAME:
             found.append(stepped(found[-1]))
             left = turns.total(found[-1])
             same = same + 1 if abs(left - before) < NOTHING else 0

@@ -18,7 +18,7 @@ from godfit.result import Estimate, FitResult
 from godfit.settling import Settled, Tangent
 from godfit.solver import linearise
 
-# Error of the light's place, as a share of a picture without a mask, that is no place.
+# Error of the light's place, as a share of the picture, that is no place.
 ANYWHERE = 0.1
 FROM_ANYWHERE = (
     "no rays were found: what may be light comes from {:.2f} +- {:.2f}, {:.2f} +- {:.2f} of the "
@@ -112,7 +112,7 @@ def verdict(
         found.opened,
         used,
     )
-    objection = found.objection or _from_anywhere(picture, told.params)
+    objection = found.objection or _from_anywhere(found.starts_agreed, told.params)
     target = picture.levels.reshape(-1, picture.channels)[pixels].reshape(-1)
     error = np.clip(at.prediction, 0, LEVELS) - target
     rmse = float(np.sqrt(np.mean(error.astype(np.float64) ** 2)))
@@ -159,12 +159,13 @@ def verdict(
     )
 
 
-def _from_anywhere(picture: Picture, params: dict[str, Estimate]) -> str:
-    """Why light of no known place is no rays, where there is no mask; empty where it has one."""
+def _from_anywhere(agreed: tuple[int, int] | None, params: dict[str, Estimate]) -> str:
+    """Why light of no known place is no rays, of which no other of the starts that were tried knows
+    either; empty where it has one."""
     at = [params[name] for name in ("light_x", "light_y") if name in params]
-    if not picture.foreign or not any(e.stderr is not None and e.stderr > ANYWHERE for e in at):
+    if agreed is None or agreed[0] > 1 or all((e.stderr or 0) <= ANYWHERE for e in at):
         return ""
-    return FROM_ANYWHERE.format(*(v for e in at for v in (e.value, e.stderr or 0.0)))
+    return FROM_ANYWHERE.format(*(v for e in at for v in (e.value, e.stderr or 0)))
 
 
 def _growth(covariance: np.ndarray, before: np.ndarray, free: np.ndarray) -> float:

@@ -377,7 +377,8 @@ def test_without_rays_a_fit_does_not_converge(screen, looks, dark, monkeypatch):
     """And says so: here as if light explained but little of what varies, or as if its disc were no
     brighter than the veil."""
     screen, _ = screen
-    seen = looks[0]._replace(explained=(2 if dark else 0.9) * unaided.RAYS)
+    lights = np.random.default_rng(0).random((12, 2))
+    seen = looks[0]._replace(explained=(2 if dark else 0.9) * unaided.RAYS, lights=lights)
     if dark:
         z = seen.ends[0].coordinates.copy()
         z[LIGHT_X], z[LIGHT_Y], z[GAIN] = 0.4, 0.6, 0.05 * z[VEIL]
@@ -393,15 +394,33 @@ def test_without_rays_a_fit_does_not_converge(screen, looks, dark, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("foreign", "off", "said"), [(0.02, 0.05, False), (0.02, 0.2, True), (0.0, 0.2, False)]
+    ("agreed", "off", "said"),
+    [((0, 12), 0.05, False), ((0, 12), 0.2, True), ((8, 12), 0.2, False), (None, 0.2, False)],
 )
-def test_light_from_anywhere_is_no_rays(foreign, off, said):
-    """Where nobody gave a mask: what is bright there need not be light."""
-    params = {"light_x": Estimate(0.4, 0.01), "light_y": Estimate(0.6, off)}
-    black = image(np.zeros((40, 40, 3), np.uint8), "none")
-    picture = Picture.make(black, np.ones((40, 40), np.float32), None, None)
-    words = _from_anywhere(dataclasses.replace(picture, foreign=foreign), params)
+def test_light_from_anywhere_is_no_rays(agreed, off, said):
+    """Unless other starts found the same, or none was tried."""
+    params = {"light_x": Estimate(0.4, None), "light_y": Estimate(0.6, off)}
+    words = _from_anywhere(agreed, params)
     assert ("no rays were found" in words and f"0.60 +- {off:.2f}" in words) == said
+
+
+@pytest.mark.parametrize(
+    ("explained", "agreed", "rays"),
+    [(0.3, 0, True), (0.2, 0, False), (0.2, 4, False), (0.03, 6, True), (0.0, 6, False)],
+)
+def test_light_that_explains_little_is_rays_where_starts_agree(
+    screen, looks, explained, agreed, rays
+):
+    """Texture leaves little to be explained, and leads every start elsewhere where there is no
+    light."""
+    screen, _ = screen
+    best = looks[0].ends[0].coordinates[LIGHT_X : LIGHT_Y + 1]
+    lights = np.tile(best, (12, 1))
+    lights[agreed:] += 0.1
+    look = looks[0]._replace(explained=explained, lights=lights)
+    picture = screenshot.read(image(screen.image, "none"), beside_panels(screen), None).picture
+    held = np.full_like(look.ends[0].coordinates, np.nan)
+    assert (unaided._objection(look, held, picture) == "") == rays
 
 
 @pytest.mark.usefixtures("single_precision")
