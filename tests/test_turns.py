@@ -298,7 +298,8 @@ def test_a_hard_edge_goes_on_from_where_a_soft_one_led(monkeypatch, edge, soft_l
 )
 def test_what_lies_beside_an_answer_is_found(known, monkeypatch):
     """From a light that is two texels off, with shadows that suit it, and what is known stays.
-    Without clear rays and glare, which would tell at once."""
+    Without clear rays and glare, which would tell at once, nor walks, which lead there too."""
+    monkeypatch.setattr(around, "_walked", lambda place: place)
     monkeypatch.setattr(elsewhere, "seen_clearly", lambda *_: [])
     monkeypatch.setattr(glare, "circles", lambda *_: np.zeros((0, 3)))
     monkeypatch.setattr(beside, "BESIDE", {LIGHT_X: 1.3, DENSITY: 1.0, RADIUS: 0.2})
