@@ -54,7 +54,7 @@ class Question(NamedTuple):
     alike: ``thought`` (m,) before, each worth ``counts`` (m,). What the light pass is at row-major
     ``pixels`` (n,), less what is known of it, is the ``goal`` (n,) in levels, and what they add to
     it the ``design`` (n, m); where the picture is another, the light pass is by the sum of
-    ``weights`` (n, c) times that. ``noise`` is in levels."""
+    ``weights`` (n, c) times that. ``noise`` is in levels; glare hides those of ``hidden`` (m,)."""
 
     picture: Picture
     texels: np.ndarray

@@ -112,7 +112,9 @@ def verdict(
         found.opened,
         used,
     )
-    objection = found.objection or _from_anywhere(found.starts_agreed, told.params)
+    objection = found.objection
+    if picture.foreign and not objection:
+        objection = _from_anywhere(found.starts_agreed, told.params)
     target = picture.levels.reshape(-1, picture.channels)[pixels].reshape(-1)
     error = np.clip(at.prediction, 0, LEVELS) - target
     rmse = float(np.sqrt(np.mean(error.astype(np.float64) ** 2)))
@@ -160,8 +162,8 @@ def verdict(
 
 
 def _from_anywhere(agreed: tuple[int, int] | None, params: dict[str, Estimate]) -> str:
-    """Why light of no known place is no rays, of which no other of the starts that were tried knows
-    either; empty where it has one."""
+    """Why light of no known place, which no other of the starts that were tried found either, is no
+    rays; empty where its place is known."""
     at = [params[name] for name in ("light_x", "light_y") if name in params]
     if agreed is None or agreed[0] > 1 or all((e.stderr or 0) <= ANYWHERE for e in at):
         return ""
