@@ -37,6 +37,8 @@ KAPPA, DENSITY, GAIN, LIGHT_X, LIGHT_Y, RADIUS, EDGE, VEIL = range(1, 9)
 CHANNELS = "rgb"
 # As dark as a veil that is seen may be.
 DARK = 0.01
+# Least value of a constant background: a window whose colours are managed takes black to below it.
+DARKEST = -0.05
 # Texels that a disc's edge is wide, least, in derivatives: a harder one steps from texel to texel.
 SOFT = 0.3
 # Widths of its edge, least, at which nothing is left of a disc: less than a hundredth of a level.
@@ -135,7 +137,7 @@ class DiscLight(AbstractModel):
     def darkest(self) -> float:
         """Least value of a background that is constant. A field is but approached by its terms,
         and the way there may lead through the dark."""
-        return 0.0 if len(self.background) == 1 else -np.inf
+        return DARKEST if len(self.background) == 1 else -np.inf
 
     @property
     def parameters(self) -> dict[str, Parameter]:

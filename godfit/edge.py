@@ -15,6 +15,9 @@ from godfit.valley import DOUBT
 # Widths of the disc's edge in texels: of one that is drawn without anti-aliasing, whose rim is left
 # to the shadows, and from where a soft one's is looked for.
 HARD, WIDE = 0.02, 1.0
+# Where softness is only asked for if it is likely: widths it is tried from, and what one solve
+# leaves of what a hard edge does, most.
+WIDTHS, LIKELY = (WIDE, 4.0), 0.9
 # Parts a side into which texels of a light pass are cut that is smaller than the picture.
 PARTS = 2
 
@@ -37,6 +40,19 @@ def with_edge(turns: Turns, width: float | None) -> Turns:
     free, held = turns.free.copy(), turns.held.copy()
     free[EDGE], held[EDGE] = width is None, np.nan if width is None else width
     return dataclasses.replace(turns, free=free, held=held)
+
+
+def looks_soft(turns: Turns, read: Read) -> bool:
+    """Whether a soft edge of the disc, under the shadows that suit a hard one, explains clearly
+    more at once."""
+    softer = with_edge(turns, None)
+
+    def left(width: float) -> float:
+        z = read.point.coordinates.copy()
+        z[EDGE] = width / read.mask.shape[0]
+        return softer.total(softer.solved(read.at(z), turns.noise))
+
+    return min(side_by_side(left, WIDTHS)) < LIKELY * turns.total(read)
 
 
 def softened(turns: Turns, read: Read) -> tuple[Turns, Read]:

@@ -17,7 +17,7 @@ from godfit.around import TEXTURE, best_around
 from godfit.beside import NEAR
 from godfit.brightness import NARROW, along_gain
 from godfit.disc import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL, DiscLight
-from godfit.edge import hardened, softened
+from godfit.edge import hardened, looks_soft, softened
 from godfit.errors import InputError
 from godfit.explained import grain
 from godfit.image import Image
@@ -146,7 +146,7 @@ def found_in(
         if whole or not free[EDGE]:
             # Of a large picture turns are dear, and the edge's are as good.
             read = turns.turned(read, TURNS)
-        if free[EDGE]:
+        if free[EDGE] and (whole or looks_soft(turns, read)):
             turns, read = softened(turns, read)
         if whole:
             read, _ = along_gain(turns, read, *NARROW)
