@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial.polynomial import polygrid2d
+from numpy.polynomial.polynomial import polyvander
 from scipy import ndimage
 
 from godfit.disc import POWERS, TERMS, powers
@@ -94,7 +94,7 @@ def field(
     grid = np.zeros((degree + 1, degree + 1))
     for coefficient, (i, j) in zip(coefficients, POWERS[: TERMS[degree]], strict=False):
         grid[j, i] = coefficient
-    whole = polygrid2d(py, px, grid)
+    whole = polyvander(py, degree) @ grid @ polyvander(px, degree).T
     slope = 0.0 if along is None else float(coefficients[-1])
     return Field(whole if along is None else whole + slope * along, max(spread, 0.3), slope)
 

@@ -241,6 +241,7 @@ def test_a_soft_edge_is_read_where_there_is_one(edge):
     picture, truth, turns = lit(edge, bar=False)
     turns, read = begun(turns, picture, truth)
     softer, there = edges.softened(turns, read)
+    assert edges.looks_soft(turns, read) == (edge > 1e-3)
     if edge > 1e-3:
         assert there.point.coordinates[EDGE] == pytest.approx(edge, rel=0.1)
         assert softer.total(there) < 0.5 * turns.total(read)
