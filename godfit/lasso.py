@@ -21,8 +21,9 @@ from godfit.native import compiled
 # less than this share of what it costs that one flips.
 SWEEPS, SHORT, GAIN = 12, 3e-3, 0.02
 # Between two of them those that move are swept so often and then solved for; while they are more
-# than so many, too many to be solved for, swept so often instead.
-BEFORE, MANY, INSTEAD = 5, 700, 20
+# than so many, too many to be solved for, swept so often instead, for as long as that is worth such
+# a share of what is left: where so many are not what they were thought to be, nor is the light.
+BEFORE, MANY, INSTEAD, HEADWAY = 5, 700, 20, 0.01
 # Guesses at which of them end at a bound, most, and by how much their squares are damped at first,
 # as a share of the matrix's diagonal: ten times less once they were guessed, ten times more where
 # they were not.
@@ -43,6 +44,11 @@ class Along:
     def step(self, residual: np.ndarray) -> np.ndarray:
         """(q,) the step that leaves least of a residual (n,)."""
         return self.inverse @ (self.weighted.T @ residual)
+
+    def left(self, off: np.ndarray, step: np.ndarray) -> float:
+        """Half the sum of squares of a residual, ``off`` (n,) times the weight, that is left by the
+        ``step`` (q,) that leaves least."""
+        return float(off @ (off / self.weight) - step @ (self.weighted.T @ (off / self.weight))) / 2
 
 
 def lasso(
@@ -71,7 +77,7 @@ def lasso(
     prices = thought, pull, flip
     size = _sizes(columns, pull)
     every = np.arange(len(share))
-    damp = DAMP
+    damp, before = DAMP, np.inf
     for _ in range(SWEEPS):
         if _swept(every, columns, prices, size, off, step, share) < short:
             break
@@ -80,6 +86,10 @@ def lasso(
             _swept(moving, columns, prices, size, off, step, share)
         (moving,) = np.nonzero(share != thought)
         if len(moving) > MANY:
+            left = along.left(off, step) + _cost(share - thought, pull, flip)
+            if left > (1 - HEADWAY) * before:
+                break
+            before = left
             continue
         few = design[:, moving]
         rows = few.tocsr()
@@ -101,6 +111,11 @@ def lasso(
             break
         damp *= 0.1 if guessed else 10
     return share
+
+
+def _cost(change: np.ndarray, pull: np.ndarray, flip: np.ndarray) -> float:
+    """Of shares that are by so much, ``change`` (m,), not what they were thought to be."""
+    return float((pull * change**2).sum() / 2 + (flip * np.abs(change)).sum())
 
 
 def _bounded(

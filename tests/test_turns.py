@@ -90,6 +90,37 @@ def test_shares_that_are_nearly_alike_are_found(monkeypatch):
     assert swept > 0.5
 
 
+def test_many_shares_are_swept_while_that_is_worth_it(monkeypatch):
+    """What is left, the best step taken, is that of plain least squares; where a batch of sweeps
+    takes less than its share of that, no other follows."""
+    rng = np.random.default_rng(1)
+    apart = np.abs(np.arange(120)[:, None] * 4 - np.arange(480)) < 60
+    design = sparse.csc_matrix(apart.T * rng.uniform(0.9, 1.1, (480, 120)))
+    goal = design @ rng.uniform(0, 1, 120) + rng.normal(size=480)
+    moves, weight = rng.normal(size=(480, 3)), rng.uniform(0.2, 1, 480)
+    along = Along(moves, weight, 0.5)
+    residual = goal - design @ np.ones(120)
+    rows = np.concatenate([np.sqrt(weight)[:, None] * moves, 0.5 * np.eye(3)])
+    aim = np.concatenate([np.sqrt(weight) * residual, np.zeros(3)])
+    off = aim - rows @ np.linalg.lstsq(rows, aim, rcond=None)[0]
+    left = along.left(weight * residual, along.step(residual))
+    assert left == pytest.approx(off @ off / 2, rel=1e-9)
+
+    lefts: list[float] = []
+    asked = Along.left
+    monkeypatch.setattr(lasso_module, "MANY", 0)
+    monkeypatch.setattr(Along, "left", lambda *a: lefts.append(asked(*a)) or lefts[-1])
+    for headway in (0.0, 0.01):
+        monkeypatch.setattr(lasso_module, "HEADWAY", headway)
+        lefts.clear()
+        lasso(design, goal, along, np.ones(120), np.ones(120), 1e-3, 1e-6, short=1e-9)
+        assert len(lefts) == lasso_module.SWEEPS or headway
+    gains = 1 - np.array(lefts[1:]) / lefts[:-1]
+    assert 1 < len(lefts) < lasso_module.SWEEPS
+    assert (gains[:-1] >= 0.01).all()
+    assert gains[-1] < 0.01
+
+
 @pytest.mark.parametrize("scale", [1, 2])
 def test_what_every_texel_adds_is_the_light_pass(scale):
     """Known and unknown texels together, of a pass of the picture's size and of half of it."""
