@@ -48,26 +48,30 @@ def looks_soft(turns: Turns, read: Read) -> bool:
     softer = with_edge(turns, None)
 
     def left(width: float) -> float:
-        z = read.point.coordinates.copy()
-        z[EDGE] = width / read.mask.shape[0]
-        return softer.total(softer.solved(read.at(z), turns.noise))
+        return softer.total(_from_width(softer, read, width))
 
     return min(side_by_side(left, WIDTHS)) < LIKELY * turns.total(read)
+
+
+def _from_width(softer: Turns, read: Read, width: float) -> Read:
+    """One solve from where the edge, free, is so many texels wide."""
+    z = read.point.coordinates.copy()
+    z[EDGE] = width / read.mask.shape[0]
+    return softer.solved(read.at(z), softer.noise)
 
 
 def softened(turns: Turns, read: Read) -> tuple[Turns, Read]:
     """With a soft edge of the disc where that explains more than a hard one; with a hard one from
     where a soft one led, past kinks of its own, where that does."""
-    softer, z, rows = with_edge(turns, None), read.point.coordinates.copy(), read.mask.shape[0]
-    z[EDGE] = WIDE / rows
-    begin = softer.solved(read.at(z), turns.noise)
+    softer = with_edge(turns, None)
+    begin = _from_width(softer, read, WIDE)
     both = [(softer, begin), (turns, read)]
     soft, hard = side_by_side(lambda each: each[0].turn(each[1], turns.noise), both)
     hard = min(read, hard, key=turns.total)
     if not softer.total(soft) < turns.total(hard) - DOUBT:
         return turns, hard
     ways = [(turns, turns.solved(soft, turns.noise))]
-    if soft.point.coordinates[EDGE] > SOFT / rows:
+    if soft.point.coordinates[EDGE] > SOFT / read.mask.shape[0]:
         ways.append((softer, soft))
     again, *wide = side_by_side(lambda way: way[0].turned(way[1], SOME), ways)
     hard = min(hard, again, key=turns.total)

@@ -22,7 +22,7 @@ from godfit.native import compiled
 SWEEPS, SHORT, GAIN = 12, 3e-3, 0.02
 # Between two of them those that move are swept so often and then solved for; while they are more
 # than so many, too many to be solved for, swept so often instead, for as long as that is worth such
-# a share of what is left: where so many are not what they were thought to be, nor is the light.
+# a share of what is left: where so many are not as they were thought, the light seldom is found.
 BEFORE, MANY, INSTEAD, HEADWAY = 5, 700, 20, 0.01
 # Guesses at which of them end at a bound, most, and by how much their squares are damped at first,
 # as a share of the matrix's diagonal: ten times less once they were guessed, ten times more where
@@ -48,7 +48,8 @@ class Along:
     def left(self, off: np.ndarray, step: np.ndarray) -> float:
         """Half the sum of squares of a residual, ``off`` (n,) times the weight, that is left by the
         ``step`` (q,) that leaves least."""
-        return float(off @ (off / self.weight) - step @ (self.weighted.T @ (off / self.weight))) / 2
+        residual = off / self.weight
+        return float(off @ residual - step @ (self.weighted.T @ residual)) / 2
 
 
 def lasso(
