@@ -80,11 +80,13 @@ class BrightPass(DiscLight):
         threshold, softness, dark = self.shape
         return dark + (1 - dark) * jax.nn.sigmoid((open_ - threshold) / softness)
 
-    def occlusion_slopes(self, open_: Float[Array, "h w"], least: float) -> Float[Array, "h w 5"]:
-        """Derivatives of ``occlusion`` by the light's place, of which there are none, and
+    def occlusion_slopes(
+        self, open_: Float[Array, "h w"], least: float
+    ) -> list[Float[Array, "h w"]]:
+        """The five derivatives of ``occlusion`` by the light's place, of which there are none, and
         ``shape``."""
         threshold, softness, dark = self.shape
         away = (open_ - threshold) / softness
         passed, none = jax.nn.sigmoid(away), jnp.zeros_like(open_)
         by_threshold = -(1 - dark) * passed * (1 - passed) / softness
-        return jnp.stack([none, none, by_threshold, by_threshold * away, 1 - passed], -1)
+        return [none, none, by_threshold, by_threshold * away, 1 - passed]

@@ -221,9 +221,11 @@ class DiscLight(AbstractModel):
         whole = Window.whole((open_.shape[0], open_.shape[1]))
         return occluded(self.light[0], self.shape, open_, whole, least, self.cut)
 
-    def occlusion_slopes(self, open_: Float[Array, "h w"], least: float) -> Float[Array, "h w 5"]:
-        """Derivatives of ``occlusion`` by the light's place and ``shape``, of texels that are not
-        cut, the edge at ``least`` so wide."""
+    def occlusion_slopes(
+        self, open_: Float[Array, "h w"], least: float
+    ) -> list[Float[Array, "h w"]]:
+        """The five derivatives of ``occlusion`` by the light's place and ``shape``, of texels that
+        are not cut, the edge at ``least`` so wide."""
         whole = Window.whole((open_.shape[0], open_.shape[1]))
         return occluded_slopes(self.light[0], self.shape, open_, whole, least)
 
@@ -306,8 +308,9 @@ class DiscLight(AbstractModel):
         if not slopes:
             return (self.shading.light_pass(still, at, method),)
         out, by_first = _jacobian(under_it, self._numbers[:6])
-        by_rest = self.shading.light_pass(self.occlusion_slopes(open_, SOFT), at, method)
-        return out, by_first, by_rest
+        slopes = self.occlusion_slopes(open_, SOFT)
+        by_rest = [self.shading.light_pass(by, at, method) for by in slopes]
+        return out, by_first, jnp.stack(by_rest, -1)
 
     def _in_a_window(self, open_, at, method, slopes):
         """See ``_summed``: what is open is as bright as the veil, and around the light by so much
@@ -331,10 +334,11 @@ class DiscLight(AbstractModel):
             all_, disc = under_it(first)
             return (veil * all_ + disc,)
         (all_, disc), (by_all, by_disc) = _jacobian(under_it, first)
-        changes = occluded_slopes(self.light[0], self.shape, part, window, SOFT)
-        changes = window.dark_around(changes.at[..., 4].add(-part))
-        by_rest = near(self.shading, changes).at[..., 4].add(all_)
-        return veil * all_ + disc, veil * by_all + by_disc, by_rest
+        *others, by_veil = occluded_slopes(self.light[0], self.shape, part, window, SOFT)
+        # One by one: with channels side by side each would be read past the four others.
+        changes = [near(self.shading, window.dark_around(by)) for by in (*others, by_veil - part)]
+        changes[-1] += all_
+        return veil * all_ + disc, veil * by_all + by_disc, jnp.stack(changes, -1)
 
     def cut_into(self, parts: int) -> DiscLight:
         """The same with texels ``cut`` otherwise."""

@@ -37,9 +37,9 @@ def occluded_slopes(
     open_: Float[Array, "rows columns"],
     window: Window,
     least: float,
-) -> Float[Array, "rows columns 5"]:
-    """Derivatives of ``occluded`` by light and shape, of texels that are not cut: what parts of one
-    do apart, an edge at ``least`` so wide does together. In closed form: of a whole picture dual
+) -> list[Float[Array, "rows columns"]]:
+    """The five derivatives of ``occluded`` by light and shape, of texels that are not cut: what
+    parts of one do apart, an edge at ``least`` so wide does together. In closed form: of a whole picture dual
     numbers of every part cost twenty times the sum over taps."""
     radius, edge, veil = shape
     (h, w), wide = window.size, jnp.maximum(edge, least / window.size[0])
@@ -52,7 +52,7 @@ def occluded_slopes(
         by_radius * x * (w / h) / away, by_radius * y / away, by_radius, by_edge,
         open_ * (1 - disc),
     ]  # fmt: skip
-    return jnp.where(lit[..., None] > 1, 0.0, jnp.stack(each, -1))
+    return [jnp.where(lit > 1, 0.0, by) for by in each]
 
 
 def from_light(light: Float[Array, " 2"], window: Window):

@@ -4,6 +4,7 @@ more."""
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 
@@ -15,8 +16,8 @@ from godfit.valley import DOUBT
 # Widths of the disc's edge in texels: of one that is drawn without anti-aliasing, whose rim is left
 # to the shadows, and from where a soft one's is looked for.
 HARD, WIDE = 0.02, 1.0
-# Where softness is only asked for if it is likely: widths it is tried from, and what one solve
-# leaves of what a hard edge does, most.
+# Where softness is asked for at once: widths it is tried from, and what one solve leaves of what a
+# hard edge does, most.
 WIDTHS, LIKELY = (WIDE, 4.0), 0.9
 # Parts a side into which texels of a light pass are cut that is smaller than the picture.
 PARTS = 2
@@ -42,15 +43,15 @@ def with_edge(turns: Turns, width: float | None) -> Turns:
     return dataclasses.replace(turns, free=free, held=held)
 
 
-def looks_soft(turns: Turns, read: Read) -> bool:
-    """Whether a soft edge of the disc, under the shadows that suit a hard one, explains clearly
-    more at once."""
+def softer_at_once(turns: Turns, read: Read) -> tuple[Turns, Read]:
+    """As ``softened``, under the shadows that suit a hard edge: with a soft one where that explains
+    clearly more at once. Of a large picture turns of shadows are dear."""
     softer = with_edge(turns, None)
-
-    def left(width: float) -> float:
-        return softer.total(_from_width(softer, read, width))
-
-    return min(side_by_side(left, WIDTHS)) < LIKELY * turns.total(read)
+    wide = side_by_side(functools.partial(_from_width, softer, read), WIDTHS)
+    best = min(wide, key=softer.total)
+    if not softer.total(best) < LIKELY * turns.total(read):
+        return turns, read
+    return softer, softer.descended(best, softer.noise)
 
 
 def _from_width(softer: Turns, read: Read, width: float) -> Read:

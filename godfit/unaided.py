@@ -17,7 +17,7 @@ from godfit.around import TEXTURE, best_around
 from godfit.beside import NEAR
 from godfit.brightness import NARROW, along_gain
 from godfit.disc import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL, DiscLight
-from godfit.edge import hardened, looks_soft, softened
+from godfit.edge import hardened, softened, softer_at_once
 from godfit.errors import InputError
 from godfit.explained import grain
 from godfit.image import Image
@@ -140,15 +140,16 @@ def found_in(
             notes += (COARSE,)
         turns, read, doubts = _finer_background(turns, read, doubts)
         model = turns.model
+        whole = looked.copy.size == picture.size
+        hidden = _hidden(model, read.point.coordinates, turns.held, picture)
+        if not whole and free[EDGE] and not hidden:
+            turns, read = softer_at_once(turns, read)
         say(f"all of the {len(seen.pixels):,} pixels")
         read = turns.descended(read._replace(seen=seen.with_mask(read.mask)), turns.noise)
-        whole = looked.copy.size == picture.size
-        if whole or not free[EDGE]:
-            # Of a large picture turns are dear, and the edge's are as good.
-            read = turns.turned(read, TURNS)
-        if free[EDGE] and (whole or looks_soft(turns, read)):
-            turns, read = softened(turns, read)
         if whole:
+            read = turns.turned(read, TURNS)
+            if free[EDGE]:
+                turns, read = softened(turns, read)
             read, _ = along_gain(turns, read, *NARROW)
         if free_tint.any():
             turns, read = _coloured(turns, read, free_tint)

@@ -55,14 +55,13 @@ class Window(NamedTuple):
         """What of a mask lies in it."""
         return jax.lax.dynamic_slice(mask, self.corner, self.shape)
 
-    def dark_around(self, part: Float[Array, "rows columns *c"]) -> Float[Array, "rows columns *c"]:
+    def dark_around(self, part: Float[Array, "rows columns"]) -> Float[Array, "rows columns"]:
         """With a border of 0 wherever the picture goes on."""
         rows, columns = (jnp.arange(n) for n in self.shape)
         (top, left), (h, w) = self.corner, self.size
         row = self._inside(rows, top, h)
         column = self._inside(columns, left, w)
-        inside = row[:, None] & column[None]
-        return jnp.where(inside.reshape(*inside.shape, *[1] * (part.ndim - 2)), part, 0)
+        return jnp.where(row[:, None] & column[None], part, 0)
 
     @staticmethod
     def _inside(places, first, count):

@@ -146,7 +146,7 @@ def test_slopes_of_the_mask_are_those_of_dual_numbers(edge):
             return model._with(numbers).occlusion(open_, *least)
 
         expected = jax.jit(jax.jacfwd(mask))(place)
-        found = np.asarray(model.occlusion_slopes(open_, SOFT))
+        found = np.stack(model.occlusion_slopes(open_, SOFT), -1)
         size = np.abs(expected).max((0, 1))
         assert (size[2 * isinstance(model, BrightPass) :] > 0)[[0, 2]].all()
         np.testing.assert_allclose(found, expected, atol=1e-9 * (1 + size.max()))
