@@ -34,11 +34,16 @@ def hidden(picture: Picture, unknown: np.ndarray, size: tuple[int, int]) -> np.n
     return glare & (shrink(unknown.astype(np.float32), size) > 0)
 
 
-def thought(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(h, w) each: whether most of those around a texel of ``mask`` (h, w) are open, and by how
-    much they are the more, between 0 and 1: what it costs to be otherwise."""
+def thought(mask: np.ndarray, where: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(k,) each: whether most of those around the k texels of ``mask`` (h, w) that are asked,
+    ``where`` (h, w), are open, and by how much they are the more, between 0 and 1: what it costs to
+    be otherwise."""
+    if not where.any():
+        return np.zeros(0, np.float32), np.zeros(0)
+    near = _around(where)
+    mask, where = mask[near], where[near]
     sums = ndimage.uniform_filter(mask.astype(np.float64), SIDE, mode="nearest") * SIDE**2
-    mean = (sums - mask) / (SIDE**2 - 1)
+    mean = ((sums - mask) / (SIDE**2 - 1))[where]
     return (mean > 0.5).astype(np.float32), np.abs(2 * mean - 1)
 
 
@@ -47,8 +52,7 @@ def length(mask: np.ndarray, where: np.ndarray) -> float:
     which at least is ``where`` (h, w) that is asked."""
     if not where.any():
         return 0.0
-    rows, columns = (np.flatnonzero(where.any(axis)) for axis in (1, 0))
-    near = tuple(slice(max(at[0] - AROUND, 0), at[-1] + AROUND + 1) for at in (rows, columns))
+    near = _around(where)
     mask, where = mask[near], where[near]
     h, w = mask.shape
     total = 0.0
@@ -57,3 +61,9 @@ def length(mask: np.ndarray, where: np.ndarray) -> float:
         there = slice(i, h), slice(max(j, 0), w + min(j, 0))
         total += float(np.abs(mask[here] - mask[there])[where[here] | where[there]].sum())
     return total / (SIDE**2 - 1)
+
+
+def _around(where: np.ndarray) -> tuple[slice, ...]:
+    """The rows and columns of all that is ``where`` (h, w) and around it."""
+    rows, columns = (np.flatnonzero(where.any(axis)) for axis in (1, 0))
+    return tuple(slice(max(at[0] - AROUND, 0), at[-1] + AROUND + 1) for at in (rows, columns))
