@@ -39,8 +39,8 @@ def occluded_slopes(
     least: float,
 ) -> list[Float[Array, "rows columns"]]:
     """The five derivatives of ``occluded`` by light and shape, of texels that are not cut: what
-    parts of one do apart, an edge at ``least`` so wide does together. In closed form: of a whole picture dual
-    numbers of every part cost twenty times the sum over taps."""
+    parts of one do apart, an edge at ``least`` so wide does together. In closed form: of a whole
+    picture dual numbers of every part cost twenty times the sum over taps."""
     radius, edge, veil = shape
     (h, w), wide = window.size, jnp.maximum(edge, least / window.size[0])
     x, y, away = from_light(light, window)

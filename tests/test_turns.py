@@ -271,8 +271,8 @@ def begun(turns, picture, z):
 def test_a_soft_edge_is_read_where_there_is_one(edge):
     picture, truth, turns = lit(edge, bar=False)
     turns, read = begun(turns, picture, truth)
-    for asked in (edges.softened, edges.softer_at_once):
-        softer, there = asked(turns, read)
+    for soften in (edges.softened, edges.softer_at_once):
+        softer, there = soften(turns, read)
         if edge > 1e-3:
             assert there.point.coordinates[EDGE] == pytest.approx(edge, rel=0.1)
             assert softer.total(there) < 0.5 * turns.total(read)
@@ -326,7 +326,7 @@ def test_a_hard_edge_goes_on_from_where_a_soft_one_led(monkeypatch, edge, soft_l
 
 @pytest.mark.usefixtures("single_precision")
 @pytest.mark.parametrize(
-    "known", [[], [DENSITY], [DENSITY, RADIUS], [GAIN]], ids=["nothing", "density", "both", "gain"]
+    "known", [[], [DENSITY, RADIUS], [GAIN]], ids=["nothing", "density and radius", "gain"]
 )
 def test_what_lies_beside_an_answer_is_found(known, monkeypatch):
     """From a light that is two texels off, with shadows that suit it, and what is known stays.
