@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
+from godfit.filters import shrink
 from godfit.models import Mitchell
-from godfit.observation import shrink
 
 BACKGROUNDS = ("flat", "smooth", "textured")
 SHADER = "dawntime"

@@ -19,7 +19,7 @@ import scenes
 from scipy import ndimage
 
 from godfit import Mitchell
-from godfit.observation import shrink
+from godfit.filters import shrink
 from godfit.simplify import Simpler, simplify
 
 

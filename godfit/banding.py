@@ -14,8 +14,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from godfit.filters import grey
 from godfit.models import Mitchell
-from godfit.observation import LEVELS, Picture, grey
+from godfit.observation import LEVELS, Picture
 from godfit.radial.spacings import left
 from godfit.side_by_side import cores, side_by_side
 from godfit.simplify import resampled

@@ -9,9 +9,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from godfit.disc import FIRST, DiscLight, terms
+from godfit.filters import over_channels
 from godfit.kept import kept
 from godfit.likelihood import log_likelihood
-from godfit.observation import LEVELS, Observation, over_channels
+from godfit.observation import LEVELS, Observation
 from godfit.points import predicted
 from godfit.side_by_side import side_by_side
 from godfit.solver import Point, solve

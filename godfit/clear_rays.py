@@ -22,7 +22,8 @@ from scipy.special import factorial
 
 from godfit.disc import DENSITY, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, VEIL, DiscLight, terms
 from godfit.disc_sums import best_discs, disc_sums, is_clear, open_sums
-from godfit.observation import LEVELS, shrink
+from godfit.filters import shrink
+from godfit.observation import LEVELS
 from godfit.occluders import light_read, texels_of
 from godfit.points import model_at, taps_of
 from godfit.side_by_side import side_by_side

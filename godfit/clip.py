@@ -22,11 +22,11 @@ from godfit import inputs, unaided
 from godfit.disc import DiscLight
 from godfit.errors import InputError
 from godfit.estimates import estimates
+from godfit.filters import shrink
 from godfit.image import Image
 from godfit.inputs import Source
 from godfit.kept import kept
 from godfit.models import FAINTEST, AbstractModel, Vector
-from godfit.observation import shrink
 from godfit.parameters import SCATTERING
 from godfit.pooling import Pool, pooled
 from godfit.result import Estimate

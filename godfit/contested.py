@@ -17,8 +17,9 @@ import numpy as np
 from scipy import sparse
 
 from godfit import dips, inputs
+from godfit.filters import shrink
 from godfit.models import Mitchell
-from godfit.observation import LEVELS, Picture, shrink
+from godfit.observation import LEVELS, Picture
 from godfit.radial.geometry import to_pixels
 from godfit.scene import Scene
 from godfit.search import climb

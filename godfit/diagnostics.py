@@ -15,9 +15,10 @@ import numpy as np
 from scipy import ndimage
 
 from godfit.blocks import was_jpeg
+from godfit.filters import shrink
 from godfit.image import decode
 from godfit.models import Mitchell
-from godfit.observation import LEVELS, Picture, render, shrink
+from godfit.observation import LEVELS, Picture, render
 from godfit.screen import read_rays
 from godfit.settling import Tangent
 

@@ -13,10 +13,11 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from godfit.filters import blurred_at
 from godfit.inference import Evidence, evidence, misfit
 from godfit.models import AbstractModel
 from godfit.noise import EXPLAINED, SIGMAS, WITHIN_ROUNDING
-from godfit.observation import Observation, Picture, blurred_at
+from godfit.observation import Observation, Picture
 from godfit.search import LADDER, PIXELS
 from godfit.settling import Settled, settle, veil
 from godfit.solver import solve

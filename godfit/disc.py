@@ -308,8 +308,8 @@ class DiscLight(AbstractModel):
         if not slopes:
             return (self.shading.light_pass(still, at, method),)
         out, by_first = _jacobian(under_it, self._numbers[:6])
-        slopes = self.occlusion_slopes(open_, SOFT)
-        by_rest = [self.shading.light_pass(by, at, method) for by in slopes]
+        changes = self.occlusion_slopes(open_, SOFT)
+        by_rest = [self.shading.light_pass(by, at, method) for by in changes]
         return out, by_first, jnp.stack(by_rest, -1)
 
     def _in_a_window(self, open_, at, method, slopes):

@@ -15,8 +15,8 @@ from godfit.beside import BESIDE, NEAR, Place, holding, left, nearer, place_of
 from godfit.clear_rays import looks_alike, seen_clearly
 from godfit.disc import DENSITY, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, VEIL
 from godfit.edge import PARTS, hardened
+from godfit.filters import shrink
 from godfit.models import FAINTEST
-from godfit.observation import shrink
 from godfit.side_by_side import side_by_side
 from godfit.turns import SOME, Read, Turns
 

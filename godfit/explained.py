@@ -8,7 +8,8 @@ import numpy as np
 from scipy import ndimage
 
 from godfit.disc import TERMS, DiscLight, terms
-from godfit.observation import Picture, shrink
+from godfit.filters import shrink
+from godfit.observation import Picture
 from godfit.points import predicted
 
 # Longest side of the copy on which it is asked how much the light explains: fine texture is gone.

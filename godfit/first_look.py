@@ -14,8 +14,9 @@ from godfit import glare, screen_disc
 from godfit.beginnings import likeliest, rough
 from godfit.disc import EDGE, TERMS, DiscLight
 from godfit.explained import explained, grain
+from godfit.filters import over_channels
 from godfit.models import Mitchell
-from godfit.observation import LEVELS, Picture, over_channels
+from godfit.observation import LEVELS, Picture
 from godfit.points import coordinates_at
 from godfit.screenshot import Reading, template
 from godfit.side_by_side import side_by_side

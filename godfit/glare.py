@@ -13,7 +13,8 @@ import itertools
 import numpy as np
 
 from godfit.consensus import passed_by
-from godfit.observation import LEVELS, Picture, over_channels
+from godfit.filters import over_channels
+from godfit.observation import LEVELS, Picture
 from godfit.segment import grown
 
 # Circles that are tried, kept, and the share of the outline that these pass at least.

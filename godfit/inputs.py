@@ -15,11 +15,12 @@ import numpy as np
 
 from godfit.atmosphere import Air
 from godfit.errors import InputError
+from godfit.filters import shrink
 from godfit.flatland.model import Flatland
 from godfit.hoffman_preetham import HoffmanPreetham, View
 from godfit.image import Image, decode, read_image
 from godfit.models import AbstractModel, Mitchell
-from godfit.observation import Picture, shrink
+from godfit.observation import Picture
 from godfit.parameters import is_light
 from godfit.raster import on_screen, rasterise, visible
 from godfit.scene import Scene

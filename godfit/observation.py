@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -13,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy import ndimage
 
+from godfit.filters import blurred, blurred_at, over_channels, shrink
 from godfit.image import Image, encode
 from godfit.kept import kept
 from godfit.models import AbstractModel
@@ -323,39 +323,6 @@ def _image(model, mask, background, size):
     return model(mask, background, size=size)
 
 
-def shrink(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """(h, w, ...) averaged over cells onto at most ``size`` rows and columns."""
-    out = image
-    for axis in (0, 1):
-        length = image.shape[axis]
-        count = min(size[axis], length)
-        if count == length:
-            continue
-        if length % count == 0:
-            # Line by line it takes a tenth of the time.
-            step, lines = length // count, np.moveaxis(out, axis, 0)
-            total = lines[::step].astype(np.float64)
-            for first in range(1, step):
-                total += lines[first::step]
-            out = np.moveaxis(total / step, 0, axis)
-        else:
-            edges = np.linspace(0, length, count + 1).astype(int)
-            out = np.add.reduceat(out, edges[:-1], axis=axis, dtype=np.float64)
-            out /= np.diff(edges).reshape((-1,) + (1,) * (out.ndim - 1 - axis))
-    return out.astype(np.float32)
-
-
-def over_channels(combine: np.ufunc, image: np.ndarray) -> np.ndarray:
-    """(h, w) the channels of an image (h, w, c) taken together: for three at a time NumPy's own
-    sums over an axis take fifteen times as long."""
-    return functools.reduce(combine, np.moveaxis(image, -1, 0))
-
-
-def grey(image: np.ndarray) -> np.ndarray:
-    """(h, w) mean of the channels."""
-    return image if image.ndim == 2 else image.mean(-1)
-
-
 def _grey(image: np.ndarray) -> tuple[np.ndarray, bool]:
     """The image without channels where they agree, and whether they do."""
     if image.ndim == 2:
@@ -364,39 +331,3 @@ def _grey(image: np.ndarray) -> tuple[np.ndarray, bool]:
         # A copy, so that the channels that are not needed do not stay in memory.
         return image[..., 0].copy(), True
     return image, False
-
-
-def blurred(image: np.ndarray, sigma: float) -> np.ndarray:
-    """(h, w, ...) blurred with a standard deviation of about ``sigma`` pixels, clamped to the edge.
-
-    By a tent, two boxes, whose cost does not grow with its width: which blur it is does not matter
-    to those who blur two images alike."""
-    width = _width(sigma)
-    if image.ndim == 3:
-        return np.stack([blurred(image[..., c], sigma) for c in range(image.shape[-1])], -1)
-    image = np.pad(image, width - 1, mode="edge")
-    for _ in range(2):
-        # Along rows, then along what were columns: across rows it takes four times as long.
-        for _ in range(2):
-            image = ndimage.uniform_filter1d(image, width, mode="nearest")
-        image = np.ascontiguousarray(image.T)
-    return image[width - 1 : 1 - width or None, width - 1 : 1 - width or None]
-
-
-def blurred_at(image: np.ndarray, sigma: float, pixels: np.ndarray) -> np.ndarray:
-    """(n, c) of ``blurred`` of an image (h, w, c) at row-major ``pixels``."""
-    width = _width(sigma)
-    reach = 2 * width - 1
-    tent = np.convolve(np.ones(width), np.ones(width)).astype(np.float32) / width**2
-    row, column = np.divmod(pixels, image.shape[1])
-    found = []
-    for channel in np.moveaxis(image, -1, 0):
-        padded = np.pad(channel, width - 1, mode="edge")
-        windows = np.lib.stride_tricks.sliding_window_view(padded, (reach, reach))
-        found.append(windows[row, column] @ tent @ tent)
-    return np.stack(found, -1)
-
-
-def _width(sigma: float) -> int:
-    """Of the boxes of a blur, odd."""
-    return 2 * round((math.sqrt(6 * sigma**2 + 1) - 1) / 2) + 1

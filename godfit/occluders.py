@@ -99,13 +99,11 @@ class Question(NamedTuple):
     def _prices(self, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(m,) each: what every cell is thought to be, and what it costs to be otherwise, where
         what is hidden is thought to be as what is around it in ``mask`` (h w,)."""
-        if not self.hidden.any():
-            return self.thought, np.full(len(self.thought), FLIP)
         size, asked = self.picture.mask.shape, self.hidden[self.cell]
         where = np.zeros(mask.size, bool)
         where[self.texels[asked]] = True
         each = outline.thought(np.minimum(mask, 1).reshape(size), where.reshape(size))
-        cell, many = self.cell[asked], np.maximum(np.bincount(self.cell), 1)
+        cell, many = self.cell[asked], np.bincount(self.cell)
         side, by = (np.bincount(cell, a, len(many)) / many for a in each)
         thought = np.where(self.hidden, (side > 0.5) * self.counts, self.thought)
         return thought.astype(np.float32), FLIP * np.where(self.hidden, by, 1)

@@ -15,7 +15,8 @@ import itertools
 import numpy as np
 from scipy import ndimage
 
-from godfit.observation import Picture, shrink
+from godfit.filters import shrink
+from godfit.observation import Picture
 
 # Rows and columns to either side that are around a texel.
 AROUND = 2

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from godfit.observation import Picture, over_channels
+from godfit.filters import over_channels
+from godfit.observation import Picture
 
 # The size of a light pass that is told from the picture's own.
 HALF = 0.5

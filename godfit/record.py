@@ -11,9 +11,9 @@ import numpy as np
 
 from godfit import inputs
 from godfit.errors import InputError
+from godfit.filters import shrink
 from godfit.image import read_image
 from godfit.models import Mitchell
-from godfit.observation import shrink
 from godfit.scene import read_scene
 
 SETTINGS = ("model", "shader", "samples", "rays", "phase", "fov", "distance")

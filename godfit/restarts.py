@@ -11,9 +11,10 @@ from scipy import ndimage
 
 from godfit import diagnostics, search
 from godfit.dips import HOPELESS
+from godfit.filters import grey
 from godfit.inference import evidence, misfit
 from godfit.noise import WITHIN_ROUNDING
-from godfit.observation import Picture, grey
+from godfit.observation import Picture
 from godfit.settling import Settled, settle
 from godfit.verdict import Found
 

@@ -18,10 +18,11 @@ from jax import lax
 from jaxtyping import Array, Float
 from scipy import ndimage
 
+from godfit.filters import grey, shrink
 from godfit.image import decode
 from godfit.kept import kept
 from godfit.models import Mitchell
-from godfit.observation import LEVELS, Picture, grey, shrink
+from godfit.observation import LEVELS, Picture
 from godfit.radial.geometry import to_pixels
 from godfit.side_by_side import side_by_side
 

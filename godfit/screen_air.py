@@ -17,9 +17,10 @@ from jaxtyping import Array, Float
 from scipy import ndimage
 
 from godfit.atmosphere import zenith_angle
+from godfit.filters import grey, shrink
 from godfit.hoffman_preetham import LEAST_DEPTH, HoffmanPreetham
 from godfit.image import decode
-from godfit.observation import LEVELS, Picture, grey, shrink
+from godfit.observation import LEVELS, Picture
 from godfit.screen import SIZE, apart, light_grid, places_for, read_rays
 
 POINTS = 256

@@ -19,8 +19,9 @@ from scipy import ndimage
 
 from godfit.consensus import votes_for
 from godfit.disc import powers
+from godfit.filters import shrink
 from godfit.kept import kept
-from godfit.observation import LEVELS, Picture, shrink
+from godfit.observation import LEVELS, Picture
 from godfit.screen import DENSITIES, STEPS, read_rays
 from godfit.segment import regions
 from godfit.side_by_side import side_by_side

@@ -16,7 +16,8 @@ from numpy.polynomial.polynomial import polyvander
 from scipy import ndimage
 
 from godfit.disc import POWERS, TERMS, powers
-from godfit.observation import LEVELS, over_channels
+from godfit.filters import over_channels
+from godfit.observation import LEVELS
 from godfit.side_by_side import side_by_side
 
 # A difference of channels this many levels off, or this many times its own spread, is another

@@ -19,9 +19,10 @@ import numpy as np
 from scipy import optimize
 
 from godfit.errors import InputError
+from godfit.filters import shrink
 from godfit.image import encode
 from godfit.models import Mitchell
-from godfit.observation import LEVELS, render, shrink
+from godfit.observation import LEVELS, render
 
 SCALES = (1.0, 0.5, 0.25)
 LEAST = 2

@@ -9,8 +9,9 @@ import numpy as np
 
 from godfit import outline
 from godfit.disc import DiscLight
+from godfit.filters import shrink
 from godfit.likelihood import log_likelihood
-from godfit.observation import Observation, Picture, shrink
+from godfit.observation import Observation, Picture
 from godfit.occluders import asked, price
 from godfit.points import model_at, predicted
 from godfit.solver import Point, linearise, solve

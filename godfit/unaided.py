@@ -141,8 +141,9 @@ def found_in(
         turns, read, doubts = _finer_background(turns, read, doubts)
         model = turns.model
         whole = looked.copy.size == picture.size
-        hidden = _hidden(model, read.point.coordinates, turns.held, picture)
-        if not whole and free[EDGE] and not hidden:
+        z = read.point.coordinates
+        if not whole and free[EDGE] and not _hidden(model, z, turns.held, picture):
+            # Of a disc in sight: in glare what is misread looks soft.
             turns, read = softer_at_once(turns, read)
         say(f"all of the {len(seen.pixels):,} pixels")
         read = turns.descended(read._replace(seen=seen.with_mask(read.mask)), turns.noise)

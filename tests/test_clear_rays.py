@@ -11,9 +11,10 @@ from scipy import ndimage
 from godfit.clear_rays import seen_clearly
 from godfit.disc import DENSITY, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
 from godfit.disc_sums import best_discs, disc_sums, is_clear, open_sums
+from godfit.filters import shrink
 from godfit.inputs import image
 from godfit.models import Mitchell
-from godfit.observation import Picture, shrink
+from godfit.observation import Picture
 from godfit.solver import Point
 from godfit.turns import Read, Turns
 

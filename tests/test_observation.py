@@ -8,7 +8,8 @@ from scipy import ndimage
 
 from godfit import explained
 from godfit.explained import grain
-from godfit.observation import CLIPPED, Picture, over_channels
+from godfit.filters import over_channels
+from godfit.observation import CLIPPED, Picture
 
 RNG = np.random.default_rng(7)
 

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from godfit.observation import Picture, blurred, blurred_at
+from godfit.filters import blurred, blurred_at
+from godfit.observation import Picture
 from godfit.screen import _in_halves, _solve, apart, light_grid
 
 
