@@ -76,7 +76,7 @@ def _veiled(start: Mapping[str, float], veil: float | None) -> dict[str, float]:
 
 def coordinates_of(start: Mapping[str, float], model: DiscLight) -> np.ndarray:
     """Coordinates of what the screening found; the background is left out."""
-    unit = model.convention.gain * float(model.colour.mean())
+    unit = model.convention.gain * float(np.asarray(model.colour).mean())
     disc, veil = (start[name] / unit for name in ("gain", "veil_gain"))
     both = max(disc + veil, 1e-2)
     veil = float(np.clip(veil, 0.003 * both, 0.5 * both))
@@ -84,8 +84,8 @@ def coordinates_of(start: Mapping[str, float], model: DiscLight) -> np.ndarray:
     exposure = both * start["density"] / (model.samples * weight)
     place = start["light_x"], start["light_y"]
     first = [exposure, start["kappa"], start["density"], both - veil, *place]
-    rest = np.zeros(model.background.size)
-    return np.array([*first, start["radius"], 0.004, veil, *rest, *model.tint], np.float32)
+    rest = [*np.zeros(model.background.size), *np.asarray(model.tint)]
+    return np.array([*first, start["radius"], 0.004, veil, *rest], np.float32)
 
 
 def with_background(

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from godfit.arrays import on_device
 from godfit.disc import DiscLight
 from godfit.parameters import Parameter
 
@@ -48,7 +49,7 @@ class BrightPass(DiscLight):
 
     def __init__(self, shading, shape, background, least=0.0):
         super().__init__(shading, shape, background)
-        self.least = jnp.asarray(least, float)
+        self.least = on_device(least, float)
 
     @property
     def used(self) -> np.ndarray:

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from godfit.arrays import on_device
 from godfit.disc_mask import from_light, occluded, occluded_slopes
 from godfit.models import FAINTEST, AbstractModel, Mitchell, Vector
 from godfit.parameters import SCATTERING, Parameter, light_parameters
@@ -96,9 +97,9 @@ class DiscLight(AbstractModel):
 
     def __init__(self, shading, shape, background, tint=(), cut=1):
         self.shading = shading
-        self.shape = jnp.asarray(shape, float)
-        self.background = jnp.atleast_2d(jnp.asarray(background, float))
-        self.tint = jnp.asarray(tint, float)
+        self.shape = on_device(shape, float)
+        self.background = jnp.atleast_2d(on_device(background, float))
+        self.tint = on_device(tint, float)
         self.cut = cut
 
     @property

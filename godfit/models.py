@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from godfit.arrays import on_device
 from godfit.parameters import SCATTERING, Parameter, table
 from godfit.radial import radial_sum
 from godfit.taps import Convention, Taps, convention
@@ -137,9 +138,9 @@ class Mitchell(AbstractModel):
     samples: int = eqx.field(static=True, default=100)
 
     def __init__(self, exposure, decay, density, weight, light, shader="mitchell", samples=None):
-        self.exposure, self.decay = jnp.asarray(exposure, float), jnp.asarray(decay, float)
-        self.density, self.weight = jnp.asarray(density, float), jnp.asarray(weight, float)
-        self.light = jnp.asarray(light, float).reshape(-1, 2)
+        self.exposure, self.decay = on_device(exposure, float), on_device(decay, float)
+        self.density, self.weight = on_device(density, float), on_device(weight, float)
+        self.light = on_device(light, float).reshape(-1, 2)
         self.shader = convention(shader).name
         self.samples = convention(shader).samples if samples is None else samples
 

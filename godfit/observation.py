@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy import ndimage
 
+from godfit.arrays import on_device
 from godfit.filters import blurred, blurred_at, over_channels, shrink
 from godfit.image import Image, encode
 from godfit.kept import kept
@@ -64,9 +65,9 @@ class Observation(eqx.Module):
         lo, hi = (np.asarray(z).reshape(-1, self.channels)[rows] for z in (self.lo, self.hi))
         return dataclasses.replace(
             self,
-            pixels=jnp.asarray(pixels),
-            lo=jnp.asarray(lo.reshape(-1)),
-            hi=jnp.asarray(hi.reshape(-1)),
+            pixels=on_device(pixels),
+            lo=on_device(lo.reshape(-1)),
+            hi=on_device(hi.reshape(-1)),
             whole=False,
             texels=_texels(pixels, self.size, np.asarray(self.mask)),
         )
@@ -74,7 +75,7 @@ class Observation(eqx.Module):
     def with_mask(self, mask: np.ndarray) -> Observation:
         """The same pixels of the same picture under another mask, of any size."""
         texels = _texels(np.asarray(self.pixels), self.size, mask)
-        return dataclasses.replace(self, mask=jnp.asarray(mask), texels=texels)
+        return dataclasses.replace(self, mask=on_device(mask), texels=texels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,11 +224,11 @@ class Picture:
             mask = blurred(mask, blur * mask.shape[0] / self.size[0])
             background = None if background is None else blurred(background, blur)
         return Observation(
-            jnp.asarray(mask),
-            None if background is None else jnp.asarray(background),
-            jnp.asarray(pixels, jnp.int32),
-            jnp.asarray(lo.reshape(-1)),
-            jnp.asarray(hi.reshape(-1)),
+            on_device(mask),
+            None if background is None else on_device(background),
+            on_device(pixels, np.int32),
+            on_device(lo.reshape(-1)),
+            on_device(hi.reshape(-1)),
             self.size,
             self.channels,
             self.transfer,
@@ -314,8 +315,8 @@ def render(
     model: AbstractModel, mask: np.ndarray, background: np.ndarray | None, size: tuple[int, int]
 ) -> np.ndarray:
     """The model's image, (h, w) or (h, w, 3), linear, clamped to [0, 1]."""
-    back = None if background is None else jnp.asarray(background)
-    return np.clip(np.asarray(_image(model, jnp.asarray(mask), back, size)), 0, 1)
+    back = None if background is None else on_device(background)
+    return np.clip(np.asarray(_image(model, on_device(mask), back, size)), 0, 1)
 
 
 @kept

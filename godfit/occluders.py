@@ -247,7 +247,7 @@ def _sums(
     place = np.full(picture.mask.size, -1, np.int32)
     place[unknown] = cell
     count = int(cell.max()) + 1
-    light = np.asarray(model.light[0], np.float64) * (low[1], -low[0]) + (-0.5, low[0] - 0.5)
+    light = np.asarray(model.light, np.float64)[0] * (low[1], -low[0]) + (-0.5, low[0] - 0.5)
     lit = lit_by(model, low).ravel()
     t, c = (np.asarray(a, np.float64) for a in taps_of(model))
     values = np.asarray(picture.mask, np.float32).ravel()

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from godfit import first_look, inputs, screen_disc
+from godfit.arrays import on_device
 from godfit.beginnings import coordinates_of, with_background
 from godfit.bright_pass import DARK, SOFTNESS, THRESHOLD, BrightPass, brightness
 from godfit.disc import DENSITY, GAIN, LIGHT_X, LIGHT_Y, TERMS, terms
@@ -212,9 +213,7 @@ def _in_turn(
             z = solve(z, free, held, model, here, max(sigma, texture)).coordinates
         if free[DENSITY] and turn in (0, TURNS - 1):
             z = _densest(z, free, held, model, here, max(SIGMAS[-1], texture))
-        light = np.asarray(
-            _light_pass(jnp.asarray(z), held, model, jnp.asarray(mask), picture.size)
-        )
+        light = np.asarray(_light_pass(on_device(z), held, model, on_device(mask), picture.size))
         mask = inputs.shrink_mask(_brightness(_unlit(model, picture.levels, light)), scale)
     return z, mask
 
@@ -235,7 +234,7 @@ def _densest(
     points[:, DENSITY] = line
     unlit = z.copy()
     unlit[[0, GAIN]] = 0
-    levels = np.asarray(predictions(jnp.asarray(np.vstack([unlit, points])), held, model, seen))
+    levels = np.asarray(predictions(on_device(np.vstack([unlit, points])), held, model, seen))
     lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
     basis = terms(np.asarray(seen.pixels), seen.size, len(model.background))
     basis = np.linalg.qr(basis)[0]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from godfit import volume as air
+from godfit.arrays import on_device
 from godfit.errors import InputError
 from godfit.hoffman_preetham import HoffmanPreetham
 from godfit.models import Mitchell
@@ -27,8 +27,8 @@ def mitchell(
     _check(background, size)
     if not tolerance:
         return render(model, mask, background, size)
-    low = jnp.asarray(mask)
-    back = None if background is None else jnp.asarray(background)
+    low = on_device(mask)
+    back = None if background is None else on_device(background)
     method = cheapest(low, model.light, model.taps[-1], tolerance)
     return np.clip(np.asarray(eqx.filter_jit(model)(low, back, size=size, method=method)), 0, 1)
 

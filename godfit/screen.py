@@ -18,6 +18,7 @@ from jax import lax
 from jaxtyping import Array, Float
 from scipy import ndimage
 
+from godfit.arrays import on_device
 from godfit.filters import grey, shrink
 from godfit.image import decode
 from godfit.kept import kept
@@ -150,7 +151,7 @@ def starts(
         shapes, along, scale, own = np.ones((1, 2)), np.ones((1, 1), np.float32), 1.0, 0 * goal
 
         def read(spots):
-            return _box_rays(jnp.asarray(mask), jnp.asarray(spots), jnp.asarray(at), model)
+            return _box_rays(on_device(mask), on_device(spots), on_device(at), model)
     else:
         shapes = _shapes(given, model.samples)
         middles = (np.arange(STEPS) + 0.5) / STEPS
@@ -163,7 +164,7 @@ def starts(
         fine = ndimage.zoom(mask, 2, order=1, mode="nearest", grid_mode=True)
 
         def read(spots):
-            return read_rays(jnp.asarray(fine), jnp.asarray(spots), jnp.asarray(at))
+            return read_rays(on_device(fine), on_device(spots), on_device(at))
 
     groups = np.arange(len(places))[:, None]
     if lights > 1:

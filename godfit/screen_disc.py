@@ -14,9 +14,10 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
+from jax import Array, lax
 from scipy import ndimage
 
+from godfit.arrays import on_device
 from godfit.consensus import votes_for
 from godfit.disc import powers
 from godfit.filters import shrink
@@ -35,6 +36,8 @@ RADII = (0.02, 0.04, 0.07, 0.1, 0.14, 0.19)
 MARGIN = 0.3
 ABOUT = np.linspace(-0.2, 0.2, 11)
 VOTES = 1500
+# Lights of a core's share are a multiple of this.
+SHARE = 32
 
 
 def places(picture: Picture, seed: int) -> np.ndarray:
@@ -129,6 +132,13 @@ def _search(rays, away, radii, along, basis, goal):
     return lax.map(one, (rays, away))
 
 
+def _in_parts(count: int) -> np.ndarray:
+    """(2, n) of so many, half for each of two cores; the last comes more than once: for another
+    number of them the program would be compiled anew."""
+    each = SHARE * -(-count // (2 * SHARE))
+    return np.arange(2 * each).clip(max=count - 1).reshape(2, each)
+
+
 def starts(
     picture: Picture,
     open_: np.ndarray,
@@ -156,26 +166,31 @@ def starts(
     middles = (np.arange(STEPS) + 0.5) / STEPS
     part = np.clip(shapes[:, 1:] * STEPS - np.arange(STEPS), 0, 1)
     along = (np.exp(-shapes[:, :1] * middles) * part / STEPS).astype(np.float32)
-    rays = read_rays(
-        jnp.asarray(fine), jnp.asarray(lights, jnp.float32), jnp.asarray(at, jnp.float32)
-    )
     away = np.hypot((u[None] - lights[:, :1]) * aspect, v[None] - lights[:, 1:])
     weight = np.ones(len(chosen))
     values = goal.ravel()[chosen]
+    parts = _in_parts(len(lights))
+
+    def read(part: np.ndarray) -> Array:
+        return read_rays(*(on_device(each, np.float32) for each in (fine, lights[part], at)))
+
+    rays = side_by_side(read, parts)
     for _ in range(2):
         # Once more without what the best explains worst: objects that nothing gave away.
         q = np.linalg.qr(basis * weight[:, None])[0]
         left = weight * values - q @ (q.T @ (weight * values))
-        found = _search(
-            rays, jnp.asarray(away, jnp.float32), jnp.asarray(radii, jnp.float32),
-            jnp.asarray(along), jnp.asarray(np.column_stack([weight, q]), jnp.float32),
-            jnp.asarray(left, jnp.float32),
-        )  # fmt: skip
-        cost, a, b = (np.asarray(z) for z in found)
+        others = radii, along, np.column_stack([weight, q]), left
+
+        def search(part: tuple[np.ndarray, Array], others=others) -> list[np.ndarray]:
+            numbers = (on_device(each, np.float32) for each in (away[part[0]], *others))
+            return [np.asarray(found) for found in _search(part[1], *numbers)]
+
+        found = side_by_side(search, zip(parts, rays, strict=True))
+        cost, a, b = (np.concatenate(each)[: len(lights)] for each in zip(*found, strict=True))
         if weight.min() == 0:
             break
         i, r, j = np.unravel_index(cost.argmin(), cost.shape)
-        ray = np.asarray(rays[i])
+        ray = np.concatenate(rays)[i]
         inside = (1 - middles)[:, None] * away[i][None] < radii[int(r)]
         model = a[i, r, j] * (along[j] @ ray) + b[i, r, j] * (along[j] @ (ray * inside))
         design = np.column_stack([basis, model])

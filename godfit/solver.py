@@ -12,6 +12,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
+from godfit.arrays import on_device
 from godfit.kept import kept
 from godfit.likelihood import deviance_residuals, interval
 from godfit.models import AbstractModel, Values, Vector
@@ -168,7 +169,7 @@ def solve_tangent(
     and steep outside) and projected onto the bounds: a coordinate on its bound with a slope
     outwards stays there (Bertsekas, SIAM J. Control Optim. 20 (1982), 221).
     """
-    values = [*(jnp.asarray(z) for z in (prediction, jacobian, lo, hi)), np.float32(sigma)]
+    values = [*(on_device(z) for z in (prediction, jacobian, lo, hi)), np.float32(sigma)]
     bounds = [np.asarray(b) for b in model.bounds()]
     lower, upper = ((b - start) / scale for b in bounds)
     width = np.asarray(hi) - np.asarray(lo)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from godfit.arrays import on_device
 from godfit.models import AbstractModel, Mitchell, Vector
 from godfit.parameters import Parameter
 from godfit.upsample import Texels, at_pixels
@@ -34,7 +35,7 @@ class Tinted(AbstractModel):
     tint: Float[Array, "2"]
 
     def __init__(self, shading: Mitchell, tint=(1.0, 1.0)):
-        self.shading, self.tint = shading, jnp.asarray(tint, float)
+        self.shading, self.tint = shading, on_device(tint, float)
 
     @property
     def samples(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -336,7 +336,7 @@ def _hidden(model: DiscLight, z: np.ndarray, held: np.ndarray, picture: Picture)
     """Whether less than a tenth of the light's outline lies where some channel can be read."""
     at = model_at(z, held, model)
     h, w = picture.size
-    (u, v), radius = np.asarray(at.light[0]), float(at.shape[0])
+    (u, v), radius = np.asarray(at.light)[0], float(np.asarray(at.shape)[0])
     turn = np.linspace(0, 2 * np.pi, 256, endpoint=False)
     column = np.floor(u * w + radius * h * np.cos(turn)).astype(int)
     row = np.floor((1 - v) * h - radius * h * np.sin(turn)).astype(int)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from godfit.arrays import on_device
 from godfit.radial.reference import bilinear
 
 # A point by itself costs as much as so many pixels of a whole picture, and more.
@@ -53,9 +54,9 @@ class Texels(NamedTuple):
         fx, fy = x - i, y - j
         share = np.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy])
         return Texels(
-            jnp.asarray(np.stack([each % w, each // w], -1), jnp.float32),
-            jnp.asarray(corners.reshape(columns.shape), jnp.int32),
-            jnp.asarray(share, jnp.float32),
+            on_device(np.stack([each % w, each // w], -1), np.float32),
+            on_device(corners.reshape(columns.shape), np.int32),
+            on_device(share, np.float32),
         )
 
 

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from godfit.arrays import on_device
 from godfit.kept import kept
 from godfit.likelihood import deviance_residuals
 from godfit.models import AbstractModel, Vector
@@ -64,7 +65,7 @@ def rivals(
     sigma = jnp.float32(start.sigma)
 
     def costs_at(points: np.ndarray) -> np.ndarray:
-        levels = predictions(jnp.asarray(points, jnp.float32), held, model, seen)
+        levels = predictions(on_device(points, np.float32), held, model, seen)
         return np.asarray(_costs(levels, seen, sigma))
 
     costs = np.concatenate(side_by_side(costs_at, np.array_split(line, 2)))
@@ -87,7 +88,7 @@ def _valley(
 ) -> np.ndarray:
     """(p,) how the other coordinates follow coordinate ``along`` on the valley's floor."""
     with one_thread():
-        return np.asarray(_floor(jnp.asarray(at), free, held, along, model, seen))
+        return np.asarray(_floor(on_device(at), free, held, along, model, seen))
 
 
 @kept
@@ -127,7 +128,7 @@ def _projected(
     known = np.isfinite(seen.lo) & np.isfinite(seen.hi)
 
     def images(points: np.ndarray) -> np.ndarray:
-        found = predictions(jnp.asarray(points, jnp.float32), held, model, seen)
+        found = predictions(on_device(points, np.float32), held, model, seen)
         return np.asarray(found, np.float64)
 
     shown = images(line)
@@ -217,7 +218,7 @@ def reseed(
 
     def following() -> tuple[np.ndarray, np.ndarray]:
         line = np.clip(at + np.outer(values - here, follow), lower, upper)
-        points = jnp.asarray(line, jnp.float32)
+        points = on_device(line, np.float32)
         return line, np.asarray(predictions(points, held, model, scanned))
 
     def projected() -> tuple[np.ndarray, np.ndarray]:
@@ -238,7 +239,7 @@ def reseed(
     if len(points) > SETTLED:
         # What they were solved on is too little to say which of them are the deepest.
         ends = np.array([points[i % len(points)].coordinates for i in range(tries)], np.float32)
-        levels = predictions(jnp.asarray(ends), held, model, seen)
+        levels = predictions(on_device(ends), held, model, seen)
         costs = np.asarray(_costs(levels, seen, jnp.float32(sigma)))
         points = [p._replace(cost=float(c)) for p, c in zip(points, costs, strict=False)]
     points = _apart(points, along, dip / 20)[:SETTLED]

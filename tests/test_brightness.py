@@ -32,7 +32,7 @@ def behind(shift):
     held[[0, EDGE]] = truth[0], truth[EDGE]
     unknown = np.abs(away - 0.16 * SIZE[0]) < 1.5
     turns = Turns(model, picture, unknown, 0.0, np.isnan(held), held, 0)
-    return truth, turns, picture.observe(picture.informative(4000, 0))
+    return truth, turns, picture.observe(picture.informative(2000, 0))
 
 
 @pytest.mark.usefixtures("single_precision")

@@ -50,7 +50,7 @@ def test_without_rays_a_photograph_does_not_converge():
     (h, w), rng = (68, 120), np.random.default_rng(0)
     image = np.full((h, w, 3), 200, np.uint8)
     image[h // 2 :] = 40 + rng.integers(0, 6, (h - h // 2, w, 1))
-    result = fitted(image, 60)
+    result = fitted(image, 20)
     assert not result.converged
     assert "no rays were found" in result.message
 
