@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import gc
 import os
 import signal
 import sys
@@ -70,6 +71,9 @@ def run() -> None:
     sys.unraisablehook = lambda lost: (
         None if isinstance(lost.exc_value, KeyboardInterrupt) else sys.__unraisablehook__(lost)
     )
+    # Imports and tracing make many objects, few of them garbage, and to look through them at every
+    # turn takes a twentieth of a command.
+    gc.set_threshold(100_000)
     status = main()
     sys.stdout.flush()
     sys.stderr.flush()
