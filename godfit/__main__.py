@@ -72,7 +72,7 @@ def run() -> None:
         None if isinstance(lost.exc_value, KeyboardInterrupt) else sys.__unraisablehook__(lost)
     )
     # Imports and tracing make many objects, few of them garbage, and to look through them at every
-    # turn takes a twentieth of a command.
+    # turn takes some hundredths of a command.
     gc.set_threshold(100_000)
     status = main()
     sys.stdout.flush()

@@ -18,8 +18,8 @@ from typing import Any
 # from 4 on a fifth of a whole command, most of it zeroing pages.
 M_MMAP_THRESHOLD, LARGE = -3, 16 << 20
 M_ARENA_MAX, ARENAS = -8, 2
-# Free memory at the top that is kept: given back at every turn and taken again, a megabyte costs a
-# quarter of a millisecond of zeroed pages, half a second in a picture of 1920x1080.
+# Free memory at the top that is kept: given back at every turn and taken again, it was a third of
+# the page faults of a picture of 1920x1080, half a second.
 M_TRIM_THRESHOLD, FREE = -1, 64 << 20
 COMPILED = "/jax/core/compile/backend_compile_duration"
 # Seconds of compiling that leave something worth giving back.

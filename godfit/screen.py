@@ -25,7 +25,7 @@ from godfit.kept import kept
 from godfit.models import Mitchell
 from godfit.observation import LEVELS, Picture
 from godfit.radial.geometry import to_pixels
-from godfit.side_by_side import side_by_side
+from godfit.side_by_side import in_halves
 
 SIZE = 64
 STEPS = 48
@@ -115,14 +115,6 @@ def _solve(rays, shapes, own, target, weight):
     return lax.map(one, rays)
 
 
-def _in_halves(work, places: np.ndarray) -> tuple[np.ndarray, ...]:
-    """``work`` of half of the places on each of two cores where they are an even number: for two
-    numbers it would be compiled twice."""
-    halves = np.split(places, 2) if len(places) % 2 == 0 else [places]
-    parts = side_by_side(lambda half: [np.asarray(z) for z in work(half)], halves)
-    return tuple(np.concatenate(each) for each in zip(*parts, strict=True))
-
-
 def starts(
     picture: Picture, model: Mitchell, given: dict[str, float], *, keep: int, seed: int
 ) -> list[np.ndarray]:
@@ -174,7 +166,7 @@ def starts(
         rays = rays[jnp.asarray(groups)].sum(1)
         e, g, cost = (np.asarray(z) for z in _solve(rays, along, own, goal, trust))
     else:
-        e, g, cost = _in_halves(lambda spots: _solve(read(spots), along, own, goal, trust), places)
+        e, g, cost = in_halves(lambda spots: _solve(read(spots), along, own, goal, trust), places)
     spots = places[groups].reshape(len(groups), -1)
     found = []
     for i, j in apart(cost, spots, shapes, keep):

@@ -25,7 +25,7 @@ from godfit.kept import kept
 from godfit.observation import LEVELS, Picture
 from godfit.screen import DENSITIES, STEPS, read_rays
 from godfit.segment import regions
-from godfit.side_by_side import side_by_side
+from godfit.side_by_side import in_halves, side_by_side
 
 SIZE, FINE = 64, 128
 POINTS = 768
@@ -36,7 +36,7 @@ RADII = (0.02, 0.04, 0.07, 0.1, 0.14, 0.19)
 MARGIN = 0.3
 ABOUT = np.linspace(-0.2, 0.2, 11)
 VOTES = 1500
-# Lights of a core's share are a multiple of this.
+# Lights that a core searches among are a multiple of this.
 SHARE = 32
 
 
@@ -132,13 +132,6 @@ def _search(rays, away, radii, along, basis, goal):
     return lax.map(one, (rays, away))
 
 
-def _in_parts(count: int) -> np.ndarray:
-    """(2, n) of so many, half for each of two cores; the last comes more than once: for another
-    number of them the program would be compiled anew."""
-    each = SHARE * -(-count // (2 * SHARE))
-    return np.arange(2 * each).clip(max=count - 1).reshape(2, each)
-
-
 def starts(
     picture: Picture,
     open_: np.ndarray,
@@ -169,28 +162,27 @@ def starts(
     away = np.hypot((u[None] - lights[:, :1]) * aspect, v[None] - lights[:, 1:])
     weight = np.ones(len(chosen))
     values = goal.ravel()[chosen]
-    parts = _in_parts(len(lights))
+    each = np.arange(len(lights))
 
-    def read(part: np.ndarray) -> Array:
-        return read_rays(*(on_device(each, np.float32) for each in (fine, lights[part], at)))
+    def read(some: np.ndarray) -> tuple[Array]:
+        return (read_rays(*(on_device(z, np.float32) for z in (fine, lights[some], at))),)
 
-    rays = side_by_side(read, parts)
+    (rays,) = in_halves(read, each, SHARE)
     for _ in range(2):
         # Once more without what the best explains worst: objects that nothing gave away.
         q = np.linalg.qr(basis * weight[:, None])[0]
         left = weight * values - q @ (q.T @ (weight * values))
         others = radii, along, np.column_stack([weight, q]), left
 
-        def search(part: tuple[np.ndarray, Array], others=others) -> list[np.ndarray]:
-            numbers = (on_device(each, np.float32) for each in (away[part[0]], *others))
-            return [np.asarray(found) for found in _search(part[1], *numbers)]
+        def search(some: np.ndarray, others=others) -> tuple[Array, ...]:
+            numbers = rays[some], away[some], *others
+            return _search(*(on_device(z, np.float32) for z in numbers))
 
-        found = side_by_side(search, zip(parts, rays, strict=True))
-        cost, a, b = (np.concatenate(each)[: len(lights)] for each in zip(*found, strict=True))
+        cost, a, b = in_halves(search, each, SHARE)
         if weight.min() == 0:
             break
         i, r, j = np.unravel_index(cost.argmin(), cost.shape)
-        ray = np.concatenate(rays)[i]
+        ray = rays[i]
         inside = (1 - middles)[:, None] * away[i][None] < radii[int(r)]
         model = a[i, r, j] * (along[j] @ ray) + b[i, r, j] * (along[j] @ (ray * inside))
         design = np.column_stack([basis, model])

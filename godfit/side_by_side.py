@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 import jax
+import numpy as np
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -23,6 +24,18 @@ def side_by_side(work: Callable[[Item], Result], items: Iterable[Item]) -> list[
     """``work`` of every item, in their order. In single precision, as the program is: JAX's
     settings are a thread's own."""
     return list(ahead(work, items))
+
+
+def in_halves(
+    work: Callable[[np.ndarray], Iterable], items: np.ndarray, share: int = 1
+) -> tuple[np.ndarray, ...]:
+    """What ``work`` makes of ``items`` (n, ...), arrays (n, ...), from half of them on each of two
+    cores. Halves are equal and a multiple of ``share`` long, the last item comes more than once:
+    for another number a program would be compiled anew."""
+    each = share * -(-len(items) // (2 * share))
+    rows = np.arange(2 * each).clip(max=len(items) - 1).reshape(2, each)
+    halves = side_by_side(lambda half: [np.asarray(z) for z in work(items[half])], rows)
+    return tuple(np.concatenate(both)[: len(items)] for both in zip(*halves, strict=True))
 
 
 def ahead(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:

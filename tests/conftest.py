@@ -36,7 +36,8 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
     libraries = Path(jaxlib.__file__).parent.glob("*.so")
     if any(OLDER.encode() in file.read_bytes() for file in libraries):
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --{OLDER}=false"
-# Tracing makes many objects, few of them garbage: looked through less often, tests take 7% less.
+# Tracing makes many objects, few of them garbage: looked through less often, a test that compiles
+# for a minute takes 7% less.
 gc.set_threshold(100_000, 10, 10)
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")

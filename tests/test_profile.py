@@ -46,10 +46,10 @@ def test_truths_at_a_bound_and_inside_are_covered(name, single_precision):
     """A small run of experiments/intervals.py."""
     found = [
         intervals.attempt(seed, name, noise=1.0, size=96, at=at)
-        for seed in range(1000, 1002)
+        for seed in range(1000, 1003)
         for at in (1.0, None)
     ]
-    assert sum(one.covers for one in found) >= 3
+    assert sum(one.covers for one in found) >= 5
     # What covers because it is wide is no interval.
     widths = [(one.interval[1] - one.interval[0]) / one.result.params[name].stderr for one in found]
     assert max(widths) < 6

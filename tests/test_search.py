@@ -7,7 +7,8 @@ import pytest
 
 from godfit.filters import blurred, blurred_at
 from godfit.observation import Picture
-from godfit.screen import _in_halves, _solve, apart, light_grid
+from godfit.screen import _solve, apart, light_grid
+from godfit.side_by_side import in_halves
 
 
 @pytest.mark.parametrize("sigma", [0.3, 1.0, 3.0, 40.0])
@@ -79,7 +80,7 @@ def test_lights_are_solved_for_in_halves():
             return _solve(rays[places], *given)
 
         whole = costs(np.arange(6))
-        even, odd = _in_halves(costs, np.arange(6)), _in_halves(costs, np.arange(5))
+        even, odd = in_halves(costs, np.arange(6)), in_halves(costs, np.arange(5), 2)
         for halves, without, expected in zip(even, odd, whole, strict=True):
             np.testing.assert_allclose(halves, expected, rtol=1e-5, atol=1e-5)
             np.testing.assert_allclose(without, expected[:5], rtol=1e-5, atol=1e-5)
