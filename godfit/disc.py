@@ -21,11 +21,18 @@ from godfit.arrays import on_device
 from godfit.disc_mask import from_light, occluded, occluded_slopes
 from godfit.models import FAINTEST, AbstractModel, Mitchell, Vector
 from godfit.parameters import SCATTERING, Parameter, light_parameters
-from godfit.radial.geometric import is_zero
+from godfit.radial.exact import fastest
+from godfit.radial.geometric import Numbers, is_zero, partial_derivatives
+from godfit.radial.geometry import to_pixels
 from godfit.taps import Convention, Taps
 from godfit.tinted import TINT
 from godfit.upsample import Texels, at_pixels
-from godfit.window import Window
+
+try:
+    from godfit.disc_pass import disc_pass
+except ImportError:
+    # Without numba, of which the sums themselves warn.
+    disc_pass = None
 
 SHAPE = (
     Parameter("radius", "R", "of the height", 0.0, np.inf, "of the light's disc"),
@@ -42,8 +49,6 @@ DARK = 0.01
 DARKEST = -0.05
 # Texels that a disc's edge is wide, least, in derivatives: a harder one steps from texel to texel.
 SOFT = 0.3
-# Widths of its edge, least, at which nothing is left of a disc: less than a hundredth of a level.
-TAIL = 12.0
 # Texels from the middle of one that is cut by a disc's edge to that edge, most.
 RIM = 1.0
 # Powers of x and y, each from -1 to 1 over the picture, in order of degree.
@@ -86,7 +91,7 @@ class DiscLight(AbstractModel):
     channels: ClassVar[int] = 1
     # Of ``shape``.
     rows: ClassVar[tuple[Parameter, ...]] = SHAPE
-    # Whether what ``shape`` changes in the mask lies about the light.
+    # Whether the mask is a disc's, which ``disc_pass`` sums.
     compact: ClassVar[bool] = True
 
     shading: Mitchell
@@ -219,20 +224,18 @@ class DiscLight(AbstractModel):
     def occlusion(self, open_: Float[Array, "h w"], least: float = 0.0) -> Float[Array, "h w"]:
         """The mask that the light pass reads, with the disc's edge at ``least`` so wide, in
         texels. What is more than open, at the disc's rim, is as bright as the disc at most."""
-        whole = Window.whole((open_.shape[0], open_.shape[1]))
-        return occluded(self.light[0], self.shape, open_, whole, least, self.cut)
+        return occluded(self.light[0], self.shape, open_, least, self.cut)
 
     def occlusion_slopes(
         self, open_: Float[Array, "h w"], least: float
     ) -> list[Float[Array, "h w"]]:
         """The five derivatives of ``occlusion`` by the light's place and ``shape``, of texels that
         are not cut, the edge at ``least`` so wide."""
-        whole = Window.whole((open_.shape[0], open_.shape[1]))
-        return occluded_slopes(self.light[0], self.shape, open_, whole, least)
+        return occluded_slopes(self.light[0], self.shape, open_, least)
 
     def away(self, size: tuple[int, int]) -> Float[Array, "h w"]:
         """How far from the light texels are, in picture heights."""
-        return from_light(self.light[0], Window.whole(size))[2]
+        return from_light(self.light[0], size)[2]
 
     def rim(self, size: tuple[int, int]) -> Bool[Array, "h w"]:
         """Texels that the disc's edge may cut."""
@@ -284,23 +287,14 @@ class DiscLight(AbstractModel):
     def _summed(self, open_, at, method, slopes) -> tuple[Array, ...]:
         """The sum, and with ``slopes`` its derivatives by scattering and light, the mask left as it
         is, (6, ...), and by what changes in the mask (..., 5)."""
-        if at is None or not self.compact:
-            return self._of_the_whole(open_, at, method, slopes)
-        reach = self.shape[0] * open_.shape[0]
-        reach += TAIL * jnp.maximum(self.shape[1] * open_.shape[0], SOFT)
-
-        def in_a_window(numbers, open_, at):
-            return self._with(numbers)._in_a_window(open_, at, method, slopes)
-
-        def of_the_whole(numbers, open_, at):
-            return self._with(numbers)._of_the_whole(open_, at, method, slopes)
-
-        # Not of the background, which is none of a light pass's business.
-        held = Window.holds(reach, open_.shape)
-        return jax.lax.cond(held, in_a_window, of_the_whole, self._numbers, open_, at)
+        (taps,) = self.taps
+        in_one = self.compact and disc_pass is not None
+        if at is not None and in_one and method == "auto" and fastest(taps) == "strips":
+            return self._in_one(open_, at, slopes)
+        return self._of_the_whole(open_, at, method, slopes)
 
     def _of_the_whole(self, open_, at, method, slopes):
-        """See ``_summed``."""
+        """See ``_summed``: a mask for everything."""
         still = self.occlusion(open_)
 
         def under_it(first):
@@ -313,33 +307,31 @@ class DiscLight(AbstractModel):
         by_rest = [self.shading.light_pass(by, at, method) for by in changes]
         return out, by_first, jnp.stack(by_rest, -1)
 
-    def _in_a_window(self, open_, at, method, slopes):
-        """See ``_summed``: what is open is as bright as the veil, and around the light by so much
-        brighter."""
-        size, veil = open_.shape, self.shape[2]
-        window = Window.about(self.light[0], size)
-        part, there = window.cut(open_), window.at(at)
-        brighter = occluded(self.light[0], self.shape, part, window, cut=self.cut) - veil * part
-        brighter = window.dark_around(brighter)
+    def _in_one(self, open_, at, slopes):
+        """See ``_summed``: no mask but what is open."""
+        size, dtype = open_.shape, open_.dtype
 
-        def near(shading, part):
-            shading = eqx.tree_at(lambda m: m.light, shading, window.light(shading.light))
-            return shading.light_pass(part, there, method)
+        def taps_of(shader):
+            (taps,) = self._lit_by(jnp.concatenate([shader, self._numbers[4:6]])).taps
+            return jnp.stack(
+                [jnp.asarray(z, dtype) for z in (taps.own, taps.first, taps.ratio, taps.step)]
+            )
 
-        def under_it(first):
-            shading = self._lit_by(first)
-            return shading.light_pass(open_, at, method), near(shading, brighter)
-
-        first = self._numbers[:6]
+        (taps,), shader = self.taps, self._numbers[:4]
+        own, first, ratio, step = taps_of(shader)
+        numbers = Numbers(*to_pixels(self.light[0].astype(dtype), *size), ratio, step, taps.lag)
+        where = at.reshape(-1, 2).T.astype(dtype)
+        lit = disc_pass(
+            open_, where, numbers, self.shape.astype(dtype), taps.count, self.cut, SOFT, slopes
+        )
+        out = (own * lit.itself + first * lit.sums[0]).reshape(at.shape[:-1])
         if not slopes:
-            all_, disc = under_it(first)
-            return (veil * all_ + disc,)
-        (all_, disc), (by_all, by_disc) = _jacobian(under_it, first)
-        *others, by_veil = occluded_slopes(self.light[0], self.shape, part, window, SOFT)
-        # One by one: with channels side by side each would be read past the four others.
-        changes = [near(self.shading, window.dark_around(by)) for by in (*others, by_veil - part)]
-        changes[-1] += all_
-        return veil * all_ + disc, veil * by_all + by_disc, jnp.stack(changes, -1)
+            return (out,)
+        by = partial_derivatives(lit.itself, lit.sums, first, numbers, size, at)
+        by_shader = _jacobian(taps_of, shader)[1] @ jnp.stack(by[:4])
+        by_first = jnp.concatenate([by_shader, jnp.stack(by[4:])])
+        by_rest = own * lit.itself_by + first * lit.sum_by
+        return out, by_first.reshape(-1, *out.shape), by_rest.T.reshape(*out.shape, -1)
 
     def cut_into(self, parts: int) -> DiscLight:
         """The same with texels ``cut`` otherwise."""

@@ -89,27 +89,49 @@ def _sum_jvp(sums, linear, count, primals, tangents):
     d_mask, d_light, d_own, d_first, d_ratio, d_step, _, d_at = tangents
     if at is not None and not is_zero(d_at):
         raise ValueError("radial_sum is differentiable in `at` by method 'reference' alone")
-    h, w = mask.shape
     numbers, where, itself = _prepared(mask, light, ratio, step, lag, at)
-    s, s_r, g_x, g_y = sums(mask, numbers, count, where, True)
-    out = own * itself + first * s
+    four = sums(mask, numbers, count, where, True)
+    by = partial_derivatives(itself, four, first, numbers, (mask.shape[0], mask.shape[1]), at)
+    out = own * itself + first * four[0]
     d_out = jnp.zeros_like(out)
-    if not is_zero(d_own):
-        d_out += d_own * itself
-    if not is_zero(d_first):
-        d_out += d_first * s
-    if not is_zero(d_ratio):
-        d_out += d_ratio * (first * s_r)
-    if not is_zero(d_step):
-        x, y = (z.reshape(-1) for z in points(h, w, at, mask.dtype))
-        d_out += d_step * (first * (g_x * (numbers.light_x - x) + g_y * (numbers.light_y - y)))
+    each = zip((d_own, d_first, d_ratio, d_step), by, strict=False)
+    for change, along in each:
+        if not is_zero(change):
+            d_out += change * along
     if not is_zero(d_light):
-        # v points up, rows down.
-        scale = first * step
-        d_out += d_light[0] * (scale * w * g_x) - d_light[1] * (scale * h * g_y)
+        d_out += d_light[0] * by.light_x + d_light[1] * by.light_y
     if not is_zero(d_mask):
         d_out += _sum(linear, linear, count, d_mask, light, own, first, ratio, step, lag, at)
     return out, d_out
+
+
+class Partial(NamedTuple):
+    """The derivatives of a sum, (points,) each, by the taps' numbers and by the light in texture
+    coordinates."""
+
+    own: Float[Array, " points"]
+    first: Float[Array, " points"]
+    ratio: Float[Array, " points"]
+    step: Float[Array, " points"]
+    light_x: Float[Array, " points"]
+    light_y: Float[Array, " points"]
+
+
+def partial_derivatives(
+    itself: Float[Array, " points"],
+    four: Float[Array, "4 points"],
+    first: Float[Array, ""],
+    numbers: Numbers,
+    size: tuple[int, int],
+    at: Float[Array, "*points 2"] | None,
+) -> Partial:
+    """From the mask at the points, ``itself``, and its ``four`` sums."""
+    (h, w), (s, s_r, g_x, g_y) = size, four
+    x, y = (z.reshape(-1) for z in points(h, w, at, s.dtype))
+    by_step = first * (g_x * (numbers.light_x - x) + g_y * (numbers.light_y - y))
+    # v points up, rows down.
+    scale = first * numbers.step
+    return Partial(itself, s, first * s_r, by_step, scale * w * g_x, -(scale * h * g_y))
 
 
 def is_zero(tangent) -> bool:
