@@ -132,8 +132,6 @@ def _box(open_, numbers, cut, slopes, near, far):
     box = np.zeros((rows + 2, columns + 2, EACH if slopes else 1), open_.dtype)
     # What no tap reads that is not in all of the disc.
     unread, over = max(near - 2 * AROUND, 0.0), False
-    if rows == 0 or columns == 0:
-        return top, left, box[:0], over
     for j in range(rows):
         y = top + j - light_y
         for i in range(columns):
@@ -164,14 +162,17 @@ def _box(open_, numbers, cut, slopes, near, far):
             texel[3] = real(by)
             if edge >= soft:
                 texel[4] = real(-by * (radius - away) / wide)
-    if top == 0:
-        box[0] = box[1]
-    if bottom == h - 1:
-        box[rows + 1] = box[rows]
-    if left == 0:
-        box[:, 0] = box[:, 1]
-    if right == w - 1:
-        box[:, columns + 1] = box[:, columns]
+    for s in range(box.shape[2]):
+        for i in range(1, columns + 1):
+            if top == 0:
+                box[0, i, s] = box[1, i, s]
+            if bottom == h - 1:
+                box[rows + 1, i, s] = box[rows, i, s]
+        for j in range(rows + 2):
+            if left == 0:
+                box[j, 0, s] = box[j, 1, s]
+            if right == w - 1:
+                box[j, columns + 1, s] = box[j, columns, s]
     return top, left, box, over
 
 
@@ -195,7 +196,7 @@ def _of_the_open(open_, at, numbers, taps, begin, inside, slopes, total):
     moves_x, moves_y = np.empty(GROUP, open_.dtype), np.empty(GROUP, open_.dtype)
     value, rise = np.empty(GROUP, open_.dtype), np.empty(GROUP, open_.dtype)
     fall = np.empty(GROUP, open_.dtype)
-    total[:] = 0
+    total.fill(0)
     for k in range(len(place)):
         t = place[k]
         for p in range(GROUP):
@@ -337,11 +338,13 @@ def lit(open_, at, numbers, count, cut, out):
     """``out`` (VALUES or SLOPES, 1, points), see ``disc_pass``; ``numbers`` are the five of the
     sums, the disc's three, and how soft its edge is in derivatives."""
     real = open_.dtype.type
-    if not np.isfinite(numbers).all():
-        out[:] = np.nan
-        return
+    for number in numbers:
+        if not math.isfinite(number):
+            out.fill(np.nan)
+            return
     slopes, points = out.shape[0] > VALUES, out.shape[2]
     light_x, light_y, veil = float(numbers[0]), float(numbers[1]), numbers[7]
+    step, lag = float(numbers[3]), float(numbers[4])
     taps = _weighed(numbers, count, real)
     place = taps[0]
     h, w = open_.shape
@@ -360,15 +363,11 @@ def lit(open_, at, numbers, count, cut, out):
     texels, shape = box.reshape(-1), (top, left, box.shape[0], box.shape[1])
     # The pixel itself is a tap that counts 1.
     alone = np.zeros(1), np.ones((1, 3), open_.dtype)
-    low, high = np.full(2, -np.inf), np.full(2, np.inf)
-    if left > 0:
-        low[0] = left - 1.0
-    if top > 0:
-        low[1] = top - 1.0
-    if left + columns < w:
-        high[0] = left + columns
-    if top + rows < h:
-        high[1] = top + rows
+    low = (left - 1.0 if left > 0 else -np.inf), (top - 1.0 if top > 0 else -np.inf)
+    high = (
+        left + columns + 0.0 if left + columns < w else np.inf,
+        top + rows + 0.0 if top + rows < h else np.inf,
+    )
     total, inside = np.empty((5, GROUP), open_.dtype), np.empty(GROUP, np.int32)
     sums, itself = np.empty(EACH + 3, open_.dtype), np.empty(EACH + 3, open_.dtype)
     for begin in range(0, points, GROUP):
@@ -377,24 +376,23 @@ def lit(open_, at, numbers, count, cut, out):
             point = min(begin + p, points - 1)
             away = math.hypot(at[0, point] - light_x, at[1, point] - light_y)
             if near > 0:
-                inside[p] = np.searchsorted(place, 1 - near / max(away, near))
+                first = math.ceil((1 - near / max(away, near)) / step + lag)
+                inside[p] = min(max(first - 1, 0), count)
         _of_the_open(open_, at, numbers, taps, begin, inside, slopes, total)
         for p in range(min(GROUP, points - begin)):
             x, y = float(at[0, begin + p]), float(at[1, begin + p])
             first, last = 1, 0
             if rows > 0:
                 first, last = _first_and_last(x, y, numbers, count, low, high)
-            sums[:] = 0
-            itself[:] = 0
+            sums.fill(0)
+            itself.fill(0)
             last = min(last, inside[p])
             _of_the_rim(texels, shape, first - 1, last, x, y, numbers, open_.shape, taps, sums)
             here = real(_read(open_, x, y))
-            share = veil
-            if near > 0 and math.hypot(x - light_x, y - light_y) <= near:
-                share = real(1)
-            else:
+            lit_all = near > 0 and math.hypot(x - light_x, y - light_y) <= near
+            if not lit_all:
                 _of_the_rim(texels, shape, 0, 1, x, y, numbers, open_.shape, alone, itself)
-            out[0, 0, begin + p] = share * here + itself[0]
+            out[0, 0, begin + p] = (real(1) if lit_all else veil) * here + itself[0]
             out[1, 0, begin + p] = total[0, p] + sums[0]
             if not slopes:
                 continue
@@ -403,7 +401,7 @@ def lit(open_, at, numbers, count, cut, out):
             for s in range(5):
                 out[5 + s, 0, begin + p] = itself[1 + s]
                 out[10 + s, 0, begin + p] = sums[1 + s]
-            if share == veil:
+            if not lit_all:
                 out[9, 0, begin + p] += here
             out[14, 0, begin + p] += total[4, p]
 

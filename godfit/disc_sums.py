@@ -120,7 +120,6 @@ def best_discs(x, y, clear, open_, lights, t, c, radii, cut, goal, basis, expand
         flat = sums.reshape(n, count * powers)
         along, shown = goal @ flat, basis @ flat
         for r in range(count):
-            own = slice(r * powers, (r + 1) * powers)
             for i in range(powers):
                 for j in range(i + 1):
                     square = 0.0
@@ -130,9 +129,13 @@ def best_discs(x, y, clear, open_, lights, t, c, radii, cut, goal, basis, expand
                         square -= shown[a, r * powers + i] * shown[a, r * powers + j]
                     squares[i, j] = squares[j, i] = square
             for q in range(len(expanded)):
-                share = (along[own] * expanded[q]).sum()
-                if share > 0:
-                    all_ = max((squares * np.outer(expanded[q], expanded[q])).sum(), 1e-12)
-                    if share * share / all_ > out[m, 0]:
-                        out[m] = np.array([share * share / all_, share / all_, float(r), float(q)])
+                share, all_ = 0.0, 0.0
+                for i in range(powers):
+                    share += along[r * powers + i] * expanded[q, i]
+                    for j in range(powers):
+                        all_ += squares[i, j] * expanded[q, i] * expanded[q, j]
+                all_ = max(all_, 1e-12)
+                if share > 0 and share * share / all_ > out[m, 0]:
+                    out[m, 0], out[m, 1] = share * share / all_, share / all_
+                    out[m, 2], out[m, 3] = r, q
     return out

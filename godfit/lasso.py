@@ -93,6 +93,7 @@ def lasso(
             before = left
             continue
         few = design[:, moving]
+        # Column by column, so that those of a row are in order.
         rows = few.tocsr()
         gram = _gram(rows.data, rows.indices, rows.indptr, along.weight, len(moving))
         gram -= shared[moving] @ taken[moving].T
@@ -156,7 +157,7 @@ def _solved(short: np.ndarray, gram: np.ndarray, which: np.ndarray, goal: np.nda
     for matrix in (short, gram):
         try:
             factor = cho_factor(
-                matrix[np.ix_(which, which)], lower=True, overwrite_a=True, check_finite=False
+                _lower(matrix, which), lower=True, overwrite_a=True, check_finite=False
             )
         except np.linalg.LinAlgError:
             continue
@@ -179,14 +180,27 @@ def _sizes(columns, pull):
 
 @compiled
 def _gram(data, columns, starts, weight, count):
-    """(count, count) products of every two columns of a matrix in sparse rows: of each row those it
-    holds, few."""
+    """(count, count) products of every two columns of a matrix in sparse rows, sorted by column: of
+    each row those it holds, few."""
     out = np.zeros((count, count))
     for row in range(len(starts) - 1):
         for a in range(starts[row], starts[row + 1]):
             value = weight[row] * data[a]
-            for b in range(starts[row], starts[row + 1]):
+            for b in range(starts[row], a + 1):
                 out[columns[a], columns[b]] += value * data[b]
+    for i in range(count):
+        for j in range(i):
+            out[j, i] = out[i, j]
+    return out
+
+
+@compiled
+def _lower(matrix, which):
+    """(k, k) rows and columns ``which`` (k,) of a symmetric matrix, up to its diagonal."""
+    out = np.empty((len(which), len(which)), matrix.dtype)
+    for i in range(len(which)):
+        for j in range(i + 1):
+            out[i, j] = matrix[which[i], which[j]]
     return out
 
 

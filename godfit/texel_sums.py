@@ -54,5 +54,6 @@ def texel_sums(texels, h, w, light, t, c, lit, values, place, count):
 def _moved(values, room):
     """``values`` (n,) where there is room for so many."""
     out = np.empty(room, values.dtype)
-    out[: len(values)] = values
+    for n in range(len(values)):
+        out[n] = values[n]
     return out

@@ -210,60 +210,18 @@ def scattered(mask, flat, at, numbers, count, out):
                 single[alone + p] = begin + p
             alone += run
         begin += run
-    single = single[:alone]
-    first, last = np.full(alone, 1, np.int64), np.full(alone, count, np.int64)
-    if _is_dark_around(mask):
-        _lit_taps(mask, at, numbers, count, single, first, last)
-        # Those that read something from much the same tap on go together.
-        order = np.argsort(first)
-        single, first, last = single[order], first[order], last[order]
     for begin in range(0, alone, GROUP):
-        end = min(begin + GROUP, alone)
+        some = single[begin : min(begin + GROUP, alone)]
         total[:] = 0
-        some = single[begin:end]
-        _group(mask, at, numbers, some, first[begin:end].min(), last[begin:end].max(), total)
+        _group(mask, at, numbers, count, some, total)
         for s in range(sums):
-            for p in range(end - begin):
+            for p in range(len(some)):
                 out[s, 0, some[p]] = total[s, 0, p]
 
 
 @_compiled
-def _is_dark_around(mask):
-    """Whether the padded mask's border, and all beyond, is 0."""
-    edges = mask[0].any() or mask[-1].any()
-    return not (edges or mask[:, 0].any() or mask[:, -1].any())
-
-
-@_compiled
-def _lit_taps(mask, at, numbers, count, single, first, last):
-    """The ``first`` and ``last`` tap (n,) of points ``single`` (n,) that may read more than the
-    border."""
-    light_x, light_y, _, step, lag = _doubles(numbers)
-    highest = mask.shape[1] - 4.0, mask.shape[0] - 3.0
-    for p in range(len(single)):
-        x, y = float(at[0, single[p]]), float(at[1, single[p]])
-        enters, leaves = 0.0, np.inf
-        for axis in range(2):
-            place = x if axis == 0 else y
-            along = light_x - x if axis == 0 else light_y - y
-            if along == 0:
-                if place < 0 or place > highest[axis]:
-                    leaves = -1.0
-                continue
-            a, b = -place / along, (highest[axis] - place) / along
-            enters, leaves = max(enters, min(a, b)), min(leaves, max(a, b))
-        if leaves < enters or step <= 0:
-            first[p], last[p] = count + 1, 0
-            continue
-        # One more at either end, for what rounding does.
-        first[p] = max(1, math.floor(min(enters / step + lag, count + 1.0)))
-        last[p] = min(count, math.ceil(min(leaves / step + lag, count + 1.0)))
-
-
-@_compiled
-def _group(mask, at, numbers, some, first, last, total):
-    """The sums of taps ``first`` to ``last`` of at most GROUP points ``some`` (n,), wherever they
-    lie, added to ``total``."""
+def _group(mask, at, numbers, count, some, total):
+    """The sums of at most GROUP points ``some`` (n,), wherever they lie, added to ``total``."""
     real = mask.dtype.type
     texels, next_row, one = mask.reshape(-1), np.uint64(mask.shape[1]), np.uint64(1)
     light_x, light_y, ratio, step, lag = _doubles(numbers)
@@ -275,10 +233,7 @@ def _group(mask, at, numbers, some, first, last, total):
         point = some[min(p, len(some) - 1)]
         x[p], y[p] = at[0, point], at[1, point]
     weight, before = 1.0, 0.0
-    if first > 1:
-        before = ratio ** (first - 2.0)
-        weight = before * ratio
-    for k in range(first, last + 1):
+    for k in range(1, count + 1):
         t = (k - lag) * step
         c, c_r, c_t = real(weight), real((k - 1) * before), real(weight * (k - lag))
         before = weight
