@@ -309,6 +309,7 @@ class DiscLight(AbstractModel):
 
     def _in_one(self, open_, at, slopes):
         """See ``_summed``: no mask but what is open."""
+        assert disc_pass is not None
         size, dtype = open_.shape, open_.dtype
 
         def taps_of(shader):
@@ -319,7 +320,9 @@ class DiscLight(AbstractModel):
 
         (taps,), shader = self.taps, self._numbers[:4]
         own, first, ratio, step = taps_of(shader)
-        numbers = Numbers(*to_pixels(self.light[0].astype(dtype), *size), ratio, step, taps.lag)
+        numbers = Numbers(
+            *to_pixels(self.light[0].astype(dtype), *size), ratio, step, jnp.asarray(taps.lag)
+        )
         where = at.reshape(-1, 2).T.astype(dtype)
         lit = disc_pass(
             open_, where, numbers, self.shape.astype(dtype), taps.count, self.cut, SOFT, slopes

@@ -71,6 +71,20 @@ sys.modules |= compiled
 install_import_hook("godfit", "beartype.beartype")
 
 
+# Files that take long, longest first: in the order of their names, or of how many tests they hold,
+# one of these comes last, and half of the cores wait for it.
+LONG = (
+    "screenshot", "turns", "synthetic_fits", "photograph", "brightness", "staged", "profile",
+    "data_synthetic", "flatland_fit", "compare", "cache", "command_line", "indirect",
+    "flatland_gradients", "disc_pass", "flatland_published", "fit", "clear_rays", "flatland",
+)  # fmt: skip
+
+
+def pytest_collection_modifyitems(items):
+    place = {f"test_{name}": i for i, name in enumerate(LONG)}
+    items.sort(key=lambda item: place.get(item.path.stem, len(LONG)))
+
+
 # Bytes that a worker may hold.
 MOST = 2 << 30
 
