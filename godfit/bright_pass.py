@@ -43,7 +43,7 @@ class BrightPass(DiscLight):
         Parameter("dark", "c", "1", 0.0, 1.0, "what the mask is where the picture is dark"),
     )
 
-    compact: ClassVar[bool] = False
+    is_disc: ClassVar[bool] = False
 
     least: Float[Array, ""]
 

@@ -92,7 +92,7 @@ class DiscLight(AbstractModel):
     # Of ``shape``.
     rows: ClassVar[tuple[Parameter, ...]] = SHAPE
     # Whether the mask is a disc's, which ``disc_pass`` sums.
-    compact: ClassVar[bool] = True
+    is_disc: ClassVar[bool] = True
 
     shading: Mitchell
     shape: Float[Array, " 3"]
@@ -288,7 +288,7 @@ class DiscLight(AbstractModel):
         """The sum, and with ``slopes`` its derivatives by scattering and light, the mask left as it
         is, (6, ...), and by what changes in the mask (..., 5)."""
         (taps,) = self.taps
-        in_one = self.compact and disc_pass is not None
+        in_one = self.is_disc and disc_pass is not None
         if at is not None and in_one and method == "auto" and fastest(taps) == "strips":
             return self._in_one(open_, at, slopes)
         return self._of_the_whole(open_, at, method, slopes)

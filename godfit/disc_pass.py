@@ -16,29 +16,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from numba import njit
 
-from godfit.cache import numba_keeps
+from godfit.disc_box import AROUND, EACH, box_of, rim
+from godfit.native import fast, inlined
 from godfit.radial.foreign import asks_version, declare, made_known, matrix, result, vector
 from godfit.radial.geometric import Numbers
 
 # Points that are summed side by side; of how many more calls are made than one, and how many: XLA
 # shares them out among its threads if they are many.
 GROUP, ENOUGH, CALLS = 32, 4096, 8
-# Numbers of a texel in the box: what the disc adds and the five that change it, in whole vectors.
-EACH = 8
 # Rows of what is worked out: the pixel itself and the sum; with slopes of both (see ``Lit``).
 VALUES, SLOPES = 2, 15
 # Widths of an edge from where it ends: by a thousandth of a level in single precision, by rounding
 # in double.
 SINGLE, DOUBLE = 12.0, 37.0
-# Texels, more than the four lie away that a tap mixes.
-AROUND = 1.5
-_compiled = njit(
-    cache=numba_keeps(), nogil=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"}
-)
-# What is compiled for its caller is optimised once more with it.
-_inlined = njit(inline="always")
 
 
 class Lit(NamedTuple):
@@ -62,9 +53,10 @@ def disc_pass(
     soft: float,
     slopes: bool,
 ) -> Lit:
-    """At columns and rows ``at``, under so many taps. ``shape`` is radius and edge, in heights of
-    the mask, and veil; texels are ``cut`` into so many parts a side; in derivatives the edge is
-    ``soft`` texels wide, at least."""
+    """At columns and rows ``at``, under ``count`` taps along the ray, of a mask of at least two
+    rows and columns, in its precision. ``shape`` is radius and edge, in heights of the mask, and
+    veil; texels are ``cut`` into so many parts a side; in derivatives the edge is ``soft`` texels
+    wide, at least. NaN where a number is not finite."""
     dtype, double = open_.dtype, open_.dtype == jnp.float64
     packed = jnp.concatenate([jnp.stack([jnp.asarray(z, dtype) for z in numbers]), shape])
     packed = jnp.append(packed.astype(dtype), jnp.asarray(soft, dtype))
@@ -86,97 +78,7 @@ def disc_pass(
     return Lit(out[0], out[1 : 5 if slopes else 2], out[5:10], out[10:])
 
 
-@_compiled
-def _disc(x, y, least, radius, wide, cut, tail):
-    """How much of a texel ``x``, ``y`` from the light the disc covers; ``least`` is added to the
-    square of a distance. Lengths are in texels."""
-    total = 0.0
-    for part in range(cut * cut):
-        dx = x + (part % cut + 0.5) / cut - 0.5
-        dy = y + (part // cut + 0.5) / cut - 0.5
-        inside = (radius - math.sqrt(dx * dx + dy * dy + least)) / wide
-        if inside >= tail:
-            total += 1.0
-        elif inside > -tail:
-            total += 1 / (1 + math.exp(-inside))
-    return total / (cut * cut)
-
-
-@_compiled
-def _rim(numbers, height, soft, small):
-    """Distances from the light, in texels: nothing of the disc's edge lies nearer than the first or
-    farther than the second; ``soft`` is how wide it is, at least."""
-    radius, wide = numbers[5] * height, max(numbers[6] * height, soft)
-    tail = SINGLE if small else DOUBLE
-    # And a texel is wide.
-    return radius - tail * wide - 1, radius + tail * wide + 1
-
-
-@_compiled
-def _box(open_, numbers, cut, slopes, near, far):
-    """The first row and column of what the disc reaches, and what it adds there but nearer to the
-    light than ``near`` (rows + 2, columns + 2, 1 or EACH), in a border as it is beyond: 0, or where
-    the picture ends what is there; and whether anything that is nearer is more than open."""
-    h, w = open_.shape
-    real = open_.dtype.type
-    light_x, light_y = float(numbers[0]), float(numbers[1])
-    veil, soft = float(numbers[7]), float(numbers[8])
-    radius, edge = numbers[5] * float(h), numbers[6] * float(h)
-    wide = max(edge, soft)
-    tail = SINGLE if open_.itemsize == 4 else DOUBLE
-    # As ``disc_mask.from_light`` has it, whose square root has a slope everywhere.
-    least = 1e-12 * float(h) * float(h)
-    top, bottom = max(math.floor(light_y - far), 0), min(math.ceil(light_y + far), h - 1)
-    left, right = max(math.floor(light_x - far), 0), min(math.ceil(light_x + far), w - 1)
-    rows, columns = max(bottom - top + 1, 0), max(right - left + 1, 0)
-    box = np.zeros((rows + 2, columns + 2, EACH if slopes else 1), open_.dtype)
-    # What no tap reads that is not in all of the disc.
-    unread, over = max(near - 2 * AROUND, 0.0), False
-    for j in range(rows):
-        y = top + j - light_y
-        for i in range(columns):
-            x = left + i - light_x
-            square = x * x + y * y
-            here = float(open_[top + j, left + i])
-            over |= square < near * near and here > 1
-            if square < unread * unread:
-                continue
-            if here == 0 or square > far * far:
-                continue
-            lit = here * (veil + (1 - veil) * _disc(x, y, least, radius, edge, cut, tail))
-            texel = box[j + 1, i + 1]
-            texel[0] = real(min(lit, 1.0) - veil * here)
-            if not slopes:
-                continue
-            disc = _disc(x, y, least, radius, wide, 1, tail)
-            if here * (veil + (1 - veil) * disc) > 1:
-                texel[5] = real(-here)
-                continue
-            texel[5] = real(-here * disc)
-            if disc == 0 or disc == 1:
-                continue
-            # By the radius and the rest in heights; rows run down, v runs up.
-            by = here * (1 - veil) * disc * (1 - disc) / wide * h
-            away = math.sqrt(square + least)
-            texel[1], texel[2] = real(by * x / away * w / h), real(-by * y / away)
-            texel[3] = real(by)
-            if edge >= soft:
-                texel[4] = real(-by * (radius - away) / wide)
-    for s in range(box.shape[2]):
-        for i in range(1, columns + 1):
-            if top == 0:
-                box[0, i, s] = box[1, i, s]
-            if bottom == h - 1:
-                box[rows + 1, i, s] = box[rows, i, s]
-        for j in range(rows + 2):
-            if left == 0:
-                box[j, 0, s] = box[j, 1, s]
-            if right == w - 1:
-                box[j, columns + 1, s] = box[j, columns, s]
-    return top, left, box, over
-
-
-@_compiled
+@fast
 def _of_the_open(open_, at, numbers, taps, begin, inside, slopes, total):
     """The sums at GROUP points from ``begin`` on, in ``total`` (5, GROUP), of what is open: as it
     is from tap ``inside`` (GROUP,) on, under the veil before; and, last, the first of them under no
@@ -238,7 +140,7 @@ def _of_the_open(open_, at, numbers, taps, begin, inside, slopes, total):
             total[3, p] += (c if k >= inside[p] else under) * moves_y[p] * fall[p]
 
 
-@_compiled
+@fast
 def _first_and_last(x, y, numbers, count, low, high):
     """The taps, of 1 to ``count``, that may lie between ``low`` and ``high`` (2,), a column and a
     row each; none where the first is more than the last."""
@@ -262,7 +164,7 @@ def _first_and_last(x, y, numbers, count, low, high):
     return first, min(count, math.ceil(min(leaves / step + lag, count + 1.0)))
 
 
-@_compiled
+@fast
 def _of_the_rim(box, shape, first, last, x, y, numbers, size, taps, sums):
     """Add to ``sums`` (EACH + 3,) what the box, ``shape`` of it (first row, first column, rows,
     columns), has at taps ``first`` to before ``last`` of a column and row: every number of it, the
@@ -307,7 +209,7 @@ def _of_the_rim(box, shape, first, last, x, y, numbers, size, taps, sums):
             )  # fmt: skip
 
 
-@_compiled
+@fast
 def _read(texels, x, y):
     """What (h, w) ``texels`` are at a column and row, bilinearly."""
     h, w = texels.shape
@@ -318,7 +220,7 @@ def _read(texels, x, y):
     return (1 - g) * upper + g * ((1 - f) * texels[j + 1, i] + f * texels[j + 1, i + 1])
 
 
-@_compiled
+@fast
 def _weighed(numbers, count, real):
     """Where taps are (count,), and what they count (count, 3) in S, S_r and the two slopes."""
     ratio, step, lag = float(numbers[2]), float(numbers[3]), float(numbers[4])
@@ -333,7 +235,7 @@ def _weighed(numbers, count, real):
     return place, weights
 
 
-@_compiled
+@fast
 def lit(open_, at, numbers, count, cut, out):
     """``out`` (VALUES or SLOPES, 1, points), see ``disc_pass``; ``numbers`` are the five of the
     sums, the disc's three, and how soft its edge is in derivatives."""
@@ -348,16 +250,17 @@ def lit(open_, at, numbers, count, cut, out):
     taps = _weighed(numbers, count, real)
     place = taps[0]
     h, w = open_.shape
-    near, far = _rim(numbers, float(h), float(numbers[8]) if slopes else 0.0, open_.itemsize == 4)
+    tail = SINGLE if open_.itemsize == 4 else DOUBLE
+    near, far = rim(numbers, float(h), float(numbers[8]) if slopes else 0.0, tail)
     # Rays to a light in the picture come nearer to it with every tap; elsewhere taps read what is
     # at the border.
     straight = 0 <= light_x <= w - 1 and 0 <= light_y <= h - 1
     straight &= numbers[3] > 0 and place[0] >= 0 and place[-1] <= 1
     near = max(near, 0.0) if straight else 0.0
-    top, left, box, over = _box(open_, numbers, cut, slopes, near, far)
+    top, left, box, over = box_of(open_, numbers, cut, slopes, near, far, tail)
     if over:
         near = 0.0
-        top, left, box, over = _box(open_, numbers, cut, slopes, near, far)
+        top, left, box, over = box_of(open_, numbers, cut, slopes, near, far, tail)
     near -= AROUND
     rows, columns = box.shape[0] - 2, box.shape[1] - 2
     texels, shape = box.reshape(-1), (top, left, box.shape[0], box.shape[1])
@@ -406,7 +309,7 @@ def lit(open_, at, numbers, count, cut, out):
             out[14, 0, begin + p] += total[4, p]
 
 
-@_inlined
+@inlined
 def _points(frame, real):
     if not asks_version(frame):
         open_, at = matrix(frame, 0, real), matrix(frame, 1, real)

@@ -54,6 +54,7 @@ COMPILED = (
     "godfit.consensus",
     "godfit.texel_sums",
     "godfit.disc_sums",
+    "godfit.disc_box",
     "godfit.disc_pass",
     "godfit.flatland.compiled_walk",
     "godfit.flatland.compiled",
