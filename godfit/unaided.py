@@ -14,9 +14,9 @@ from scipy import ndimage
 
 from godfit import first_look, inputs, screenshot
 from godfit.around import TEXTURE, best_around
-from godfit.beside import NEAR
+from godfit.beside import NEAR, place_of
 from godfit.brightness import NARROW, along_gain
-from godfit.disc import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL, DiscLight
+from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, VEIL, DiscLight
 from godfit.edge import hardened, softened, softer_at_once
 from godfit.errors import InputError
 from godfit.explained import grain
@@ -46,8 +46,9 @@ FAINT = 0.1
 ROUNDS = 25
 # Turns of shadows and light on the picture, most.
 TURNS = 6
-# Degree of a background that is not constant, in the end: light makes up for what it cannot follow.
-FINER = 3
+# Searches of a whole picture, most, until one of them explains it: dips are so narrow that it hangs
+# on which pixels are seen, and on how sums are rounded, in which of them one ends.
+TRIES = 3
 # A disc is in sight where it is brighter than the veil by this.
 SEEN = 1.1
 # Pixels of the last look, in blocks of so many rows and columns: what errs together is told by
@@ -134,11 +135,10 @@ def found_in(
     rounds = ROUNDS if rays else 1
     if rays:
         sizes = _sizes(picture, turns.texture) if pass_scale is None else [pass_scale]
-        turns, read, doubts = _searched(turns, looked, sizes, seed, say, like)
+        turns, read, doubts = _searched_again(turns, looked, seen, sizes, say, like)
         if pass_scale is None and read.mask.shape != picture.mask.shape:
             pass_scale = HALF
             notes += (COARSE,)
-        turns, read, doubts = _finer_background(turns, read, doubts)
         model = turns.model
         whole = looked.copy.size == picture.size
         z = read.point.coordinates
@@ -228,11 +228,35 @@ def _sizes(picture: Picture, texture: float) -> list[float]:
     return [1.0, HALF] if told is None else [told]
 
 
+def _searched_again(
+    turns: Turns,
+    looked: first_look.Look,
+    seen: Observation,
+    sizes: list[float],
+    say: Callable[[str], None],
+    like: np.ndarray | None,
+) -> tuple[Turns, Read, list[np.ndarray]]:
+    """The likeliest by all that is ``seen`` of what some searches found, each by pixels of its own,
+    until one of them explains these. Next to texture none would, and what other frames of a clip
+    say is ``like`` enough."""
+    alone = looked.copy.size == turns.picture.size and like is None
+    found: list[tuple[Turns, Read, list[np.ndarray]]] = []
+    by_all: list[float] = []
+    for again in range(TRIES if alone and turns.texture < TEXTURE else 1):
+        other = dataclasses.replace(turns, seed=turns.seed + again)
+        found.append(_searched(other, looked, sizes, say, like))
+        end, read, _ = found[-1]
+        there = read._replace(seen=seen.with_mask(read.mask))
+        by_all.append(place_of(end, end.descended(there, end.noise)).left)
+        if place_of(end, read).explained:
+            break
+    return found[int(np.argmin(by_all))]
+
+
 def _searched(
     turns: Turns,
     looked: first_look.Look,
     sizes: list[float],
-    seed: int,
     say: Callable[[str], None],
     like: np.ndarray | None,
 ) -> tuple[Turns, Read, list[np.ndarray]]:
@@ -240,7 +264,7 @@ def _searched(
     beside it, by a few of the pixels, with a light pass of one of these ``sizes``, and changes (p,)
     that it may be off by."""
     picture = turns.picture
-    few = picture.observe(picture.informative(first_look.MORE, seed + 2))
+    few = picture.observe(picture.informative(first_look.MORE, turns.seed + 2))
     whole = looked.copy.size == picture.size
 
     def begun(end: first_look.End) -> list[Read]:
@@ -259,25 +283,6 @@ def _searched(
     say("lights, densities and radii beside these" if whole else "shadows of the whole picture")
     ends = looked.ends if whole else looked.ends[:1]
     return best_around(turns, [begun(end) for end in ends], whole, like)
-
-
-def _finer_background(
-    turns: Turns, read: Read, doubts: list[np.ndarray]
-) -> tuple[Turns, Read, list[np.ndarray]]:
-    """With a background of a higher degree than the search did with, unless it is constant."""
-    k, c = turns.model.background.shape
-    if k == 1:
-        return turns, read, doubts
-    more, end = (TERMS[FINER] - k) * c, FIRST + k * c
-
-    def longer(values: np.ndarray, by: float = 0) -> np.ndarray:
-        return np.insert(values, end, np.full(more, by, values.dtype))
-
-    was = turns.model
-    model = screenshot.template(was.shading, c, FINER, was.tint).cut_into(was.cut)
-    free, held = longer(turns.free, True), longer(turns.held, np.nan)
-    turns = dataclasses.replace(turns, model=model, free=free, held=held)
-    return turns, read.at(longer(read.point.coordinates)), [longer(doubt) for doubt in doubts]
 
 
 def _coloured(turns: Turns, read: Read, which: np.ndarray) -> tuple[Turns, Read]:

@@ -8,7 +8,7 @@ import pytest
 from scipy import sparse
 from scipy.optimize import minimize
 
-from godfit import around, beside, elsewhere, glare, occluders
+from godfit import around, beside, elsewhere, first_look, glare, occluders, unaided
 from godfit import edge as edges
 from godfit import lasso as lasso_module
 from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, VEIL, DiscLight
@@ -595,3 +595,48 @@ def test_shares_are_solved_for_in_double_precision_where_single_will_not_do():
         which = np.arange(6)
         found = lasso_module._solved(gram.astype(np.float32), gram, which, goal)
         np.testing.assert_allclose(found, 1, atol=1e-3)
+
+
+@pytest.mark.usefixtures("single_precision")
+def test_what_is_not_explained_is_searched_again(monkeypatch):
+    """By other pixels, until one search explains the picture; the likeliest of all is the answer.
+    Next to texture, or where another frame has told, one search is all."""
+    picture, truth, turns = lit(0.01, bar=False)
+    near = truth.copy()
+    near[GAIN] *= 1.5
+    every = picture.observe(picture.informative(1000, 0))
+    looked = first_look.Look((), picture, turns.model, np.zeros((0, 2)), 1.0)
+    searched = []
+
+    def search(ends, turns=turns, like=None):
+        searched.clear()
+
+        def found(other, *_):
+            searched.append(other.seed)
+            z = ends[min(len(searched), len(ends)) - 1]
+            # What is not solved says nothing; the truth leaves nothing.
+            point = Point(z, 0.0 if z is truth else np.inf, True, 0)
+            return other, Read.of(point, np.asarray(picture.mask), every), []
+
+        monkeypatch.setattr(unaided, "_searched", found)
+        # As if nothing led from one to the other.
+        monkeypatch.setattr(Turns, "descended", lambda self, read, sigma: stays(read))
+        return unaided._searched_again(turns, looked, every, [1.0], print, like)
+
+    def stays(read):
+        levels = predicted(read.point.coordinates, turns.held, turns.model, every)
+        cost = float(((levels - np.asarray(every.lo)) ** 2).sum())
+        return read._replace(point=read.point._replace(cost=cost))
+
+    end, read, _ = search([near, truth, near])
+    assert searched == [0, 1]
+    assert end.seed == 1
+    assert read.point.coordinates is truth
+    far = truth.copy()
+    far[GAIN] *= 3
+    _, read, _ = search([far, near, far])
+    assert searched == list(range(unaided.TRIES))
+    assert read.point.coordinates is near
+    for one in ({"turns": dataclasses.replace(turns, texture=2.0)}, {"like": truth[:4]}):
+        search([near, truth], **one)
+        assert searched == [0]
