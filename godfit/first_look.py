@@ -24,7 +24,7 @@ from godfit.solver import Point
 from godfit.turns import Read, Turns
 
 # Longest side of the copy that is searched on, pixels for first and for later looks.
-SIDE, FEW, MORE = 240, 1024, 4096
+SIDE, FINE, FEW, MORE = 240, 480, 1024, 4096
 # Taps of first looks, and with shadows on the small copy: where a disc's edge is, too few do not
 # tell. On the finer copy there are as many as the shader has.
 COARSE_TAPS, TAPS = 48, 96
@@ -121,7 +121,7 @@ def look(
     copy, coarse = small, [read.mask for read in ended]
     if small.size != picture.size:
         say("a finer copy")
-        copy, model, still = picture.shrunk(-(-max(picture.size) // (2 * SIDE))), full, fixed
+        copy, model, still = picture.shrunk(-(-max(picture.size) // FINE)), full, fixed
         turns = Turns(model, copy, reading.unknown, grain(copy), free, still, seed)
         seen = copy.observe(copy.informative(MORE, seed + 2))
         coarse = [enlarged(mask, small.mask, copy.mask) for mask in coarse]

@@ -23,9 +23,6 @@ from godfit.segment import Segments, grown, light_colour, panels, segments
 FOREIGN = 0.02
 # Levels by which the background's colours must vary over the picture to be called smooth.
 SMOOTH = 1.5
-# Degree of a background that is: what a lower one cannot follow light makes up for, in dips of
-# density that are not its own.
-DEGREE = 3
 # Texture in levels next to which the light is taken to be white.
 TEXTURE = 1.5
 # Share of the picture that must be background for the rest to be objects.
@@ -63,7 +60,7 @@ def read(target: Image, valid: np.ndarray | None, occluder: np.ndarray | None) -
         unknown &= ~occluder
     picture = dataclasses.replace(picture, mask=open_, valid=picture.valid & ~silent)
     tint = colour[[0, 2]] if np.any(colour != 1) else np.zeros(0)
-    return Reading(picture, unknown, lying, 0 if found.variation < SMOOTH else DEGREE, tint)
+    return Reading(picture, unknown, lying, 0 if found.variation < SMOOTH else 2, tint)
 
 
 def _light_colour(picture: Picture) -> np.ndarray:

@@ -16,7 +16,7 @@ from godfit import first_look, inputs, screenshot
 from godfit.around import TEXTURE, best_around
 from godfit.beside import NEAR, place_of
 from godfit.brightness import NARROW, along_gain
-from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, VEIL, DiscLight
+from godfit.disc import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL, DiscLight
 from godfit.edge import hardened, softened, softer_at_once
 from godfit.errors import InputError
 from godfit.explained import grain
@@ -46,6 +46,9 @@ FAINT = 0.1
 ROUNDS = 25
 # Turns of shadows and light on the picture, most.
 TURNS = 6
+# Degree of a background that is not constant, in the end, and from the start where what the light
+# makes up for would lead the search astray, in dips of density that are not its own.
+FINER = 3
 # Searches of a whole picture, most, until one of them explains it: dips are so narrow that it hangs
 # on which pixels are seen, and on how sums are rounded, in which of them one ends.
 TRIES = 3
@@ -102,6 +105,8 @@ def found_in(
         )
     say("background, objects, panels")
     reading = screenshot.read(target, valid, occluder)
+    if reading.degree and max(target.values.shape[:2]) <= first_look.FINE:
+        reading = reading._replace(degree=FINER)
     notes = tuple(
         f"a panel at {x},{y},{w},{h} is taken to lie on top and is left out"
         for x, y, w, h in reading.panels
@@ -139,6 +144,7 @@ def found_in(
         if pass_scale is None and read.mask.shape != picture.mask.shape:
             pass_scale = HALF
             notes += (COARSE,)
+        turns, read, doubts = _finer_background(turns, read, doubts)
         model = turns.model
         whole = looked.copy.size == picture.size
         z = read.point.coordinates
@@ -237,14 +243,15 @@ def _searched_again(
     like: np.ndarray | None,
 ) -> tuple[Turns, Read, list[np.ndarray]]:
     """The likeliest by all that is ``seen`` of what some searches found, each by pixels of its own,
-    until one of them explains these. Next to texture none would, and what other frames of a clip
-    say is ``like`` enough."""
-    alone = looked.copy.size == turns.picture.size and like is None
+    until one of them explains these. Once where the search ended on a copy, where other frames of a
+    clip have scattering ``like`` that (4,), and next to texture, which nothing explains."""
+    if looked.copy.size != turns.picture.size or like is not None or turns.texture >= TEXTURE:
+        return _searched(turns, looked, sizes, say, like)
     found: list[tuple[Turns, Read, list[np.ndarray]]] = []
     by_all: list[float] = []
-    for again in range(TRIES if alone and turns.texture < TEXTURE else 1):
+    for again in range(TRIES):
         other = dataclasses.replace(turns, seed=turns.seed + again)
-        found.append(_searched(other, looked, sizes, say, like))
+        found.append(_searched(other, looked, sizes, say, None))
         end, read, _ = found[-1]
         there = read._replace(seen=seen.with_mask(read.mask))
         by_all.append(place_of(end, end.descended(there, end.noise)).left)
@@ -283,6 +290,25 @@ def _searched(
     say("lights, densities and radii beside these" if whole else "shadows of the whole picture")
     ends = looked.ends if whole else looked.ends[:1]
     return best_around(turns, [begun(end) for end in ends], whole, like)
+
+
+def _finer_background(
+    turns: Turns, read: Read, doubts: list[np.ndarray]
+) -> tuple[Turns, Read, list[np.ndarray]]:
+    """With a background of as high a degree as in the end, unless it is constant."""
+    k, c = turns.model.background.shape
+    if k in (1, TERMS[FINER]):
+        return turns, read, doubts
+    more, end = (TERMS[FINER] - k) * c, FIRST + k * c
+
+    def longer(values: np.ndarray, by: float = 0) -> np.ndarray:
+        return np.insert(values, end, np.full(more, by, values.dtype))
+
+    was = turns.model
+    model = screenshot.template(was.shading, c, FINER, was.tint).cut_into(was.cut)
+    free, held = longer(turns.free, True), longer(turns.held, np.nan)
+    turns = dataclasses.replace(turns, model=model, free=free, held=held)
+    return turns, read.at(longer(read.point.coordinates)), [longer(doubt) for doubt in doubts]
 
 
 def _coloured(turns: Turns, read: Read, which: np.ndarray) -> tuple[Turns, Read]:
