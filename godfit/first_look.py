@@ -23,7 +23,8 @@ from godfit.side_by_side import side_by_side
 from godfit.solver import Point
 from godfit.turns import Read, Turns
 
-# Longest side of the copy that is searched on, pixels for first and for later looks.
+# Longest sides of the copy that is searched on and of the finer one that the search ends on, pixels
+# for first and for later looks.
 SIDE, FINE, FEW, MORE = 240, 480, 1024, 4096
 # Taps of first looks, and with shadows on the small copy: where a disc's edge is, too few do not
 # tell. On the finer copy there are as many as the shader has.
