@@ -22,7 +22,7 @@ from godfit.segment import Segments, grown, light_colour, panels, segments
 # Share of pixels that the model may be silent about without being told.
 FOREIGN = 0.02
 # Levels by which the background's colours must vary over the picture to be called smooth.
-SMOOTH = 1.5
+SMOOTH = 0.3
 # Texture in levels next to which the light is taken to be white.
 TEXTURE = 1.5
 # Share of the picture that must be background for the rest to be objects.

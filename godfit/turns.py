@@ -60,7 +60,8 @@ class Read(NamedTuple):
 class Turns:
     """``picture`` under ``model``, whose coordinates are ``held`` (p,) where not ``free`` (p,);
     ``unknown`` (h, w), of any size, is what shadows decide, ``texture`` the background's, in
-    levels; ``seed`` is of the pixels that they are read from. Noises ``sigma`` are in levels."""
+    levels; ``seed`` is of the pixels that they are read from. Noises ``sigma`` are in levels; no
+    less than ``least`` is allowed for."""
 
     model: DiscLight
     picture: Picture
@@ -69,12 +70,13 @@ class Turns:
     free: np.ndarray
     held: np.ndarray
     seed: int
+    least: float = 1.0
 
     @property
     def noise(self) -> float:
         """Least noise allowed for, in levels: nothing explains texture, and what is off by as much
         is not foreign."""
-        return max(1.0, self.texture)
+        return max(self.least, self.texture)
 
     def solved(self, read: Read, sigma: float) -> Read:
         """One solve with so much noise allowed for."""

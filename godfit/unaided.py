@@ -49,14 +49,18 @@ TURNS = 6
 # Degree of a background that is not constant, in the end, and from the start where what the light
 # makes up for would lead the search astray, in dips of density that are not its own.
 FINER = 3
-# Searches of a whole picture, most, until one of them explains it: dips are so narrow that it hangs
-# on which pixels are seen, and on how sums are rounded, in which of them one ends.
+# Searches of a whole picture, most, until one explains it and shows where the disc ends: dips are
+# so narrow that it hangs on which pixels are seen, and on how sums are rounded, in which one ends.
 TRIES = 3
+# Noise allowed for, in levels, where the search explains a picture: gains that leave as little next
+# to a level of it are told apart by what is left of rounding.
+ROUNDING = 0.3
 # A disc is in sight where it is brighter than the veil by this.
 SEEN = 1.1
-# Pixels of the last look, in blocks of so many rows and columns: what errs together is told by
-# neighbours. Sums along rows cost less.
-LAST, ROWS, COLUMNS = 16_384, 8, 32
+# Pixels of the last look, and of that at a picture that was searched whole: how bright a clipped
+# disc is hangs on a few pixels of many. They are in blocks of so many rows and columns: what errs
+# together is told by neighbours, and sums along rows cost less.
+LAST, LAST_OF_WHOLE, ROWS, COLUMNS = 16_384, 65_536, 8, 32
 # Pixels without which nothing can be told.
 LEAST = 500
 NO_RAYS = (
@@ -133,7 +137,9 @@ def found_in(
         free[0] = False
         opened.append((0, [3]))
     turns = Turns(model, picture, reading.unknown, grain(picture), free, held, seed)
-    seen = picture.observe(blocks(picture, seed))
+    whole = looked.copy.size == picture.size
+    clear = whole and turns.texture < TEXTURE
+    seen = picture.observe(blocks(picture, seed, LAST_OF_WHOLE if clear else LAST))
     objection = _objection(looked, held, picture)
     rays = not objection
     first = first_look.enlarged(best.mask, looked.copy.mask, picture.mask)
@@ -146,7 +152,6 @@ def found_in(
             notes += (COARSE,)
         turns, read, doubts = _finer_background(turns, read, doubts)
         model = turns.model
-        whole = looked.copy.size == picture.size
         z = read.point.coordinates
         if not whole and free[EDGE] and not _hidden(model, z, turns.held, picture):
             # Of a disc in sight: in glare what is misread looks soft.
@@ -202,8 +207,9 @@ def found_in(
     return found, notes
 
 
-def blocks(picture: Picture, seed: int) -> np.ndarray:
-    """Sorted indices of LAST valid pixels, in blocks drawn at random; all where there are fewer."""
+def blocks(picture: Picture, seed: int, most: int = LAST) -> np.ndarray:
+    """Sorted indices of ``most`` valid pixels, in blocks drawn at random; all where there are
+    fewer."""
     h, w = picture.size
     rows, columns = -(-h // ROWS), -(-w // COLUMNS)
     order = np.random.default_rng(seed).permutation(rows * columns)
@@ -212,7 +218,7 @@ def blocks(picture: Picture, seed: int) -> np.ndarray:
     pixels = np.flatnonzero(picture.valid)
     # Always as many, the last block cut off: for every other number the program would be compiled
     # anew.
-    return np.sort(pixels[np.argsort(rank[pixels], kind="stable")[:LAST]])
+    return np.sort(pixels[np.argsort(rank[pixels], kind="stable")[:most]])
 
 
 def _objection(looked: first_look.Look, held: np.ndarray, picture: Picture) -> str:
@@ -243,21 +249,31 @@ def _searched_again(
     like: np.ndarray | None,
 ) -> tuple[Turns, Read, list[np.ndarray]]:
     """The likeliest by all that is ``seen`` of what some searches found, each by pixels of its own,
-    until one of them explains these. Once where the search ended on a copy, where other frames of a
+    until one of them explains these and shows where the disc ends: of one that is clipped or hidden
+    nearly any gain explains as much. Once where the search ended on a copy, where other frames of a
     clip have scattering ``like`` that (4,), and next to texture, which nothing explains."""
     if looked.copy.size != turns.picture.size or like is not None or turns.texture >= TEXTURE:
         return _searched(turns, looked, sizes, say, like)
-    found: list[tuple[Turns, Read, list[np.ndarray]]] = []
-    by_all: list[float] = []
+    found: list[tuple[bool, float]] = []
+    ends: list[tuple[Turns, Read, list[np.ndarray]]] = []
     for again in range(TRIES):
         other = dataclasses.replace(turns, seed=turns.seed + again)
-        found.append(_searched(other, looked, sizes, say, None))
-        end, read, _ = found[-1]
-        there = read._replace(seen=seen.with_mask(read.mask))
-        by_all.append(place_of(end, end.descended(there, end.noise)).left)
-        if place_of(end, read).explained:
+        end, read, doubts = _searched(other, looked, sizes, say, None)
+        explained = place_of(end, read).explained
+        if explained:
+            end = dataclasses.replace(end, least=ROUNDING)
+        there = end.descended(read._replace(seen=seen.with_mask(read.mask)), end.noise)
+        found.append((not explained, place_of(end, there).left))
+        ends.append((end, read, doubts))
+        if explained and not _trades(end, read):
             break
-    return found[int(np.argmin(by_all))]
+    return ends[found.index(min(found))]
+
+
+def _trades(turns: Turns, read: Read) -> bool:
+    """Whether the disc's gain trades with its radius: it is in sight, but not where it ends."""
+    at = turns.model, read.point.coordinates, turns.held, turns.picture
+    return _hidden(*at) and not _out_of_sight(*at)
 
 
 def _searched(

@@ -210,6 +210,14 @@ def test_a_background_that_varies_as_the_light_does_gives_it_no_colour(seed):
     np.testing.assert_array_equal(colour, 1)
 
 
+@pytest.mark.parametrize(("kind", "varies"), [("flat", False), ("smooth", True)])
+def test_a_background_that_hardly_varies_is_no_constant(kind, varies):
+    """By a level from end to end in one channel against another, as rounding never makes it."""
+    screen = made(9289, kind)
+    reading = screenshot.read(image(screen.image, "none"), beside_panels(screen), None)
+    assert (reading.degree > 0) == varies
+
+
 @pytest.mark.parametrize(
     ("scale", "tint"), [(1.0, ()), (0.5, ()), (1.0, ORANGE)], ids=["whole", "half", "coloured"]
 )

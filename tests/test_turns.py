@@ -599,8 +599,9 @@ def test_shares_are_solved_for_in_double_precision_where_single_will_not_do():
 
 @pytest.mark.usefixtures("single_precision")
 def test_what_is_not_explained_is_searched_again(monkeypatch):
-    """By other pixels, until one search explains the picture; the likeliest of all is the answer.
-    Next to texture, or where another frame has told, one search is all."""
+    """By other pixels, until one search explains the picture, and shows where the disc ends; the
+    likeliest of all is the answer. Next to texture, or where another frame has told, one search is
+    all."""
     picture, truth, turns = lit(0.01, bar=False)
     near = truth.copy()
     near[GAIN] *= 1.5
@@ -628,6 +629,7 @@ def test_what_is_not_explained_is_searched_again(monkeypatch):
         cost = float(((levels - np.asarray(every.lo)) ** 2).sum())
         return read._replace(point=read.point._replace(cost=cost))
 
+    monkeypatch.setattr(unaided, "_hidden", lambda *_: False)
     end, read, _ = search([near, truth, near])
     assert searched == [0, 1]
     assert end.seed == 1
@@ -640,3 +642,8 @@ def test_what_is_not_explained_is_searched_again(monkeypatch):
     for one in ({"turns": dataclasses.replace(turns, texture=2.0)}, {"like": truth[:4]}):
         search([near, truth], **one)
         assert searched == [0]
+    monkeypatch.setattr(unaided, "_hidden", lambda *_: True)
+    end, read, _ = search([near, truth, near])
+    assert searched == list(range(unaided.TRIES))
+    assert read.point.coordinates is truth
+    assert end.noise == max(unaided.ROUNDING, turns.texture)
