@@ -254,8 +254,7 @@ def _searched_again(
     clip have scattering ``like`` that (4,), and next to texture, which nothing explains."""
     if looked.copy.size != turns.picture.size or like is not None or turns.texture >= TEXTURE:
         return _searched(turns, looked, sizes, say, like)
-    found: list[tuple[bool, float]] = []
-    ends: list[tuple[Turns, Read, list[np.ndarray]]] = []
+    found: list[tuple[bool, float, tuple[Turns, Read, list[np.ndarray]]]] = []
     for again in range(TRIES):
         other = dataclasses.replace(turns, seed=turns.seed + again)
         end, read, doubts = _searched(other, looked, sizes, say, None)
@@ -263,11 +262,11 @@ def _searched_again(
         if explained:
             end = dataclasses.replace(end, least=ROUNDING)
         there = end.descended(read._replace(seen=seen.with_mask(read.mask)), end.noise)
-        found.append((not explained, place_of(end, there).left))
-        ends.append((end, read, doubts))
+        found.append((not explained, place_of(end, there).left, (end, read, doubts)))
         if explained and not _trades(end, read):
             break
-    return ends[found.index(min(found))]
+    # What is explained was solved next to less noise, and leaves more for it.
+    return min(found, key=lambda each: each[:2])[2]
 
 
 def _trades(turns: Turns, read: Read) -> bool:

@@ -212,7 +212,7 @@ def test_a_background_that_varies_as_the_light_does_gives_it_no_colour(seed):
 
 @pytest.mark.parametrize(("kind", "varies"), [("flat", False), ("smooth", True)])
 def test_a_background_that_hardly_varies_is_no_constant(kind, varies):
-    """By a level from end to end in one channel against another, as rounding never makes it."""
+    """By little more than a level (rms) in one channel against another: rounding makes less."""
     screen = made(9289, kind)
     reading = screenshot.read(image(screen.image, "none"), beside_panels(screen), None)
     assert (reading.degree > 0) == varies
