@@ -21,8 +21,8 @@ from godfit.segment import Segments, grown, light_colour, panels, segments
 
 # Share of pixels that the model may be silent about without being told.
 FOREIGN = 0.02
-# Levels by which the background's colours must vary over the picture to be called smooth: of 200 made
-# ones those of one colour vary by .04 at most, the others by 1.1 at least.
+# Levels by which the background's colours must vary over the picture to be called smooth: of 200
+# made ones those of one colour vary by .04 at most, the others by 1.1 at least.
 SMOOTH = 0.3
 # Texture in levels next to which the light is taken to be white.
 TEXTURE = 1.5
