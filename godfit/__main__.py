@@ -66,6 +66,9 @@ def _interrupt(number: int, frame: Any) -> None:
 
 def run() -> None:
     """The ``godfit`` command."""
+    # Many small programs follow each other here, for which a GPU takes longer than a CPU, and some
+    # of them are compiled for CPUs alone. JAX reads this when it is first imported.
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")
     signal.signal(signal.SIGINT, _interrupt)
     # Where an interrupt falls into a finaliser, Python prints it and goes on; the next stage stops.
     sys.unraisablehook = lambda lost: (

@@ -11,6 +11,8 @@ import tempfile
 from pathlib import Path
 
 os.environ["MPLBACKEND"] = "Agg"
+# As the commands have it.
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
 # Workers share the cores: threads of BLAS would wait for each other.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 # All that is run at once shares what is compiled; nothing of an earlier run is trusted.

@@ -121,6 +121,17 @@ def test_help_does_not_wait_for_jax():
     assert subprocess.run([sys.executable, "-c", program], capture_output=True).returncode == 0
 
 
+@pytest.mark.parametrize(("asked", "had"), [(None, "cpu"), ("cuda,cpu", "cuda,cpu")])
+def test_commands_run_on_the_cpu_unless_asked_otherwise(asked, had, monkeypatch):
+    monkeypatch.delenv("JAX_PLATFORMS", raising=False)
+    if asked:
+        monkeypatch.setenv("JAX_PLATFORMS", asked)
+    program = "import os, godfit.__main__ as it; "
+    program += "it.main = lambda: print(os.environ['JAX_PLATFORMS']) or 0; it.run()"
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (ran.returncode, ran.stdout.strip()) == (0, had)
+
+
 def test_a_fit_does_not_wait_for_what_it_does_not_use():
     program = "import sys, godfit.fitting; "
     program += "sys.exit(bool({'scipy.stats', 'matplotlib', 'trimesh'} & {*sys.modules}))"

@@ -193,6 +193,12 @@ class TestWhatIsSeen:
         for method in ("distance", "march", "cascades"):
             np.testing.assert_allclose(rendered(made, method=method), 0.7, rtol=1e-12)
 
+    def test_cascades_need_a_cpu(self, monkeypatch):
+        made = canvas(*oracle.random_canvas((12, 12), 10))
+        monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+        with pytest.raises(InputError, match="does not run on a CPU, got 'cascades'; set JAX_PLAT"):
+            rendered(made, method="cascades")
+
     def test_exposure_and_radiance_above_one(self):
         radiance, opacity = oracle.random_canvas((12, 12), 10)
         found = rendered(canvas(20 * radiance, opacity), Sky.none(), exposure=0.1)

@@ -48,7 +48,8 @@ def basis(canvas: Canvas, rays: int) -> Float[np.ndarray, "h w channels"]:
     The rays go in float64: one that meets a corner and passes it on the wrong side is off by a
     whole ray's share, which a fit to bytes would see.
     """
-    with jax.enable_x64(True):
+    # What the rays are compiled for, wherever else JAX runs.
+    with jax.enable_x64(True), jax.default_device(jax.local_devices(backend="cpu")[0]):
         exact = Canvas(*(jnp.asarray(np.asarray(z), jnp.float64) for z in jax.tree.leaves(canvas)))
         return np.asarray(_basis(exact, rays))
 

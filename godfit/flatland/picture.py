@@ -74,6 +74,11 @@ def render(
         light = _without_derivative("published", make, canvas, sky)
         return exposure * light + _grain(light, grain, seed)
     if method == "cascades":
+        if jax.default_backend() != "cpu":
+            raise InputError(
+                "method: expected 'distance' or 'march' where JAX does not run on a CPU, got "
+                "'cascades'; set JAX_PLATFORMS=cpu"
+            )
         reached = _without_derivative(
             "cascades", functools.partial(cascades, rays=rays), canvas, sky
         )
