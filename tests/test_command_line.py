@@ -238,6 +238,13 @@ def test_what_several_frames_do_not_do(disc, capsys, arguments, status, words):
     assert leftovers(disc.parent) == before
 
 
+@pytest.mark.parametrize("asked", [["--profile", "decay"], ["--posterior"]])
+def test_intervals_of_a_picture_that_comes_with_nothing_are_refused_at_once(disc, capsys, asked):
+    disc.with_suffix(".toml").unlink()
+    line = fails(capsys, 2, "fit", disc, *asked)
+    assert f"{' '.join(asked)}: expected --mask, --scene or --canvas with it, got none" in line
+
+
 def test_mask_of_a_scene_or_of_a_picture(disc, capsys):
     assert "got neither" in fails(capsys, 2, "mask", "-o", disc)
     assert "got both" in fails(capsys, 2, "mask", disc, "--from-image", disc, "-o", disc)

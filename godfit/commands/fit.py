@@ -84,6 +84,9 @@ def fit(
         raise click.UsageError("--every: expected several frames or a video with it, got a picture")
     study = opened(first, given, ignore, output, alone=True)
     only_one(study.options, given)
+    if (profile or posterior) and not {"mask", "scene", "canvas"} & study.options.keys():
+        asked = f"--profile {profile[0]}" if profile else "--posterior"
+        raise click.UsageError(f"{asked}: expected --mask, --scene or --canvas with it, got none")
     if free and "scene" not in study.options:
         raise click.UsageError(f"--free {free[0]}: expected --scene SCENE.toml with it, got a mask")
     with working(quiet, verbose) as progress:
