@@ -25,6 +25,7 @@ from godfit.inference import evidence
 from godfit.kept import kept
 from godfit.models import Mitchell
 from godfit.observation import LEVELS, Observation, Picture
+from godfit.one_thread import one_thread
 from godfit.points import occlusion_of
 from godfit.screenshot import FOREIGN
 from godfit.segment import grown
@@ -56,6 +57,8 @@ EVERYWHERE = (9.9,)
 EXPOSURE = 0.1
 
 
+# Searches go on side by side, a core each.
+@one_thread()
 def found_in(
     target: Image,
     shading: Mitchell,

@@ -25,6 +25,7 @@ from godfit.inference import evidence
 from godfit.models import Mitchell
 from godfit.observation import Observation, Picture
 from godfit.occluders import lit_by
+from godfit.one_thread import one_thread
 from godfit.pass_size import HALF, pass_scale_of
 from godfit.points import model_at, predicted
 from godfit.settling import Settled, Tangent, settle
@@ -79,6 +80,8 @@ HIDDEN = (
 )
 
 
+# Searches go on side by side, a core each.
+@one_thread()
 def found_in(
     target: Image,
     shading: Mitchell,
