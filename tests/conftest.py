@@ -6,6 +6,7 @@ import gc
 import importlib
 import os
 import shutil
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -23,21 +24,24 @@ os.environ["GODFIT_CACHE"] = (
 )
 
 import jax
-import jaxlib
 import pytest
 from jaxtyping import install_import_hook
 
 from godfit.cache import keep_compiled
 
-# Most of the time goes into compiling, of which XLA's newer emitter of fusions takes nearly twice
-# as much as the older one. A flag that XLA does not know would end the process.
-OLDER = "xla_cpu_use_fusion_emitters"
-
 if "PYTEST_XDIST_WORKER" not in os.environ:
     atexit.register(shutil.rmtree, os.environ["GODFIT_CACHE"], ignore_errors=True)
-    libraries = Path(jaxlib.__file__).parent.glob("*.so")
-    if any(OLDER.encode() in file.read_bytes() for file in libraries):
-        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --{OLDER}=false"
+    # Most of the time goes into compiling, of which XLA's newer emitter of fusions takes nearly
+    # twice as much as the older one. A flag that XLA does not know, as since JAX 0.11, ends the
+    # process, and the names of those that are gone are still in its library: another is asked.
+    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_use_fusion_emitters=false"
+    asked = subprocess.run(
+        [sys.executable, "-c", "import jax; jax.devices()"],
+        env=os.environ | {"XLA_FLAGS": flags},
+        capture_output=True,
+    )
+    if asked.returncode == 0:
+        os.environ["XLA_FLAGS"] = flags
 # Tracing makes many objects, few of them garbage: looked through less often, a test that compiles
 # for a minute takes 7% less.
 gc.set_threshold(100_000, 10, 10)
