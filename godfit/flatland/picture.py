@@ -64,7 +64,8 @@ def render(
     **Returns:** (h, w, 3), linear, not clamped; differentiable, forward and reverse, in the
     canvas's radiance and opacity (and so in the shapes of `godfit.flatland.drawing`), the sky's
     four and the exposure, by `"distance"` and `"march"`. The others have no derivative, and say so:
-    a ValueError. Raises InputError for settings that mean nothing.
+    a ValueError. Raises InputError for settings that mean nothing, and for `"cascades"`, compiled
+    for CPUs, where JAX runs elsewhere.
     """
     check_settings(rays, method, steps, grain, published)
     sky = Sky.none() if sky is None else sky
