@@ -11,6 +11,7 @@ from godfit.beside import Place, left, looked_around
 from godfit.brightness import NARROW, WIDE, WORSE, along_density, along_gain
 from godfit.clear_rays import looks_alike
 from godfit.elsewhere import cleared, crossed, glared, likened, of_each_size, solved
+from godfit.explained import TEXTURE
 from godfit.side_by_side import side_by_side
 from godfit.turns import Read, Turns
 
@@ -25,8 +26,6 @@ ALIKE = 1.05
 FAR_WORSE, CLEARED, AS_LIKELY = 2.0, 1.5, 1.25
 # Times the least that a step may leave on the way down, which is rough.
 DOWNHILL = 1.03
-# Texture, in levels, next to which no disc is told to a part of a texel.
-TEXTURE = 1.0
 
 
 def best_around(

@@ -14,6 +14,8 @@ from godfit.points import predicted
 
 # Longest side of the copy on which it is asked how much the light explains: fine texture is gone.
 COPY = 60
+# Noise, in levels, from which on a picture is textured.
+TEXTURE = 1.0
 # What varies less than so many levels is rounding.
 VARIES = 0.1
 # Pixels about which texture is averaged out, and of how many, in bands of how many rows, it is
@@ -24,12 +26,13 @@ AROUND, FEW, BAND = 6, 1 << 19, 36
 def explained(z, held, model: DiscLight, small: Picture) -> float:
     """The share that the light at coordinates ``z`` (p,), ``held`` (p,) where not NaN, explains of
     what a smooth background alone would leave, in absolute deviations of the pixels whose light
-    pass can be read; 1 is all, below 0 is worse than none. Texture, which nothing explains, is not
-    asked for."""
+    pass can be read; 1 is all, below 0 is worse than none. Of a textured picture texture, which
+    nothing explains, is not asked for."""
     # Cells of what the picture's own texels make: of a light beside the picture, coarse ones make
     # another.
     seen = small.observe(np.arange(small.size[0] * small.size[1]))
     made = np.asarray(predicted(z, held, model, seen)).reshape(*small.size, -1)
+    textured = grain(small) >= TEXTURE
     small = small.shrunk(-(-max(small.size) // COPY))
     usable = np.flatnonzero(small.valid & ~small.clipped)
     if len(usable) < 50:
@@ -41,8 +44,8 @@ def explained(z, held, model: DiscLight, small: Picture) -> float:
     alone = np.maximum(off - max(small.half, 0.5), 0).mean()
     if alone < VARIES:
         return 0.0
-    # The mean deviation of a Gaussian.
-    texture = grain(small) * math.sqrt(2 / math.pi)
+    # The mean deviation of a Gaussian. Rays and outlines, where there is no texture, look like it.
+    texture = grain(small) * math.sqrt(2 / math.pi) if textured else 0.0
     return float((alone - left) / max(alone - texture, alone / 4))
 
 

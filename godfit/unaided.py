@@ -13,13 +13,13 @@ import numpy as np
 from scipy import ndimage
 
 from godfit import first_look, inputs, screenshot
-from godfit.around import TEXTURE, best_around
+from godfit.around import best_around
 from godfit.beside import NEAR, place_of
 from godfit.brightness import NARROW, along_gain
 from godfit.disc import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL, DiscLight
 from godfit.edge import hardened, softened, softer_at_once
 from godfit.errors import InputError
-from godfit.explained import grain
+from godfit.explained import TEXTURE, grain
 from godfit.image import Image
 from godfit.inference import evidence
 from godfit.models import Mitchell
@@ -34,9 +34,10 @@ from godfit.solver import Point, solve_tangent
 from godfit.turns import SOME, Read, Turns
 from godfit.verdict import Found
 
-# Of what varies in a picture, the share that light must explain to be called rays. Photographs,
-# text and noise reach 0, textured screenshots .4.
-RAYS = 0.25
+# Of what varies in a picture, the share that light must explain to be called rays: of a textured
+# one, where photographs, text and noise reach 0 and screenshots .4, and of others, where landscapes
+# reach .73 and screenshots .83 at least.
+RAYS, CLEAR_RAYS = 0.25, 0.75
 # Where less is explained, but by some light, the share of starts that must find it: of textured
 # screenshots up to nineteen of twenty do, of pictures without rays four of twelve at most, whose
 # light explains nothing.
@@ -48,7 +49,8 @@ ROUNDS = 25
 # Turns of shadows and light on the picture, most.
 TURNS = 6
 # Degree of a background that is not constant, in the end, and from the start where what the light
-# makes up for would lead the search astray, in dips of density that are not its own.
+# makes up for would lead the search astray, in dips of density that are not its own; next to
+# texture, which hides these, it would make up for the light.
 FINER = 3
 # Searches of a whole picture, most, until one explains it and shows where the disc ends: dips are
 # so narrow that it hangs on which pixels are seen, and on how sums are rounded, in which one ends.
@@ -65,8 +67,8 @@ LAST, LAST_OF_WHOLE, ROWS, COLUMNS = 16_384, 65_536, 8, 32
 # Pixels without which nothing can be told.
 LEAST = 500
 NO_RAYS = (
-    "no rays were found: a light explains {:.0f}% of what varies in this picture, a smooth "
-    "background the rest"
+    "no rays were found: a light explains {:.0f}% of what varies in this picture beside a smooth "
+    "background"
 )
 NO_LIGHT = (
     "no rays were found: where a light would stand, at {:.2f}, {:.2f}, nothing is brighter than "
@@ -112,8 +114,7 @@ def found_in(
         )
     say("background, objects, panels")
     reading = screenshot.read(target, valid, occluder)
-    if reading.degree and max(target.values.shape[:2]) <= first_look.FINE:
-        reading = reading._replace(degree=FINER)
+    reading = reading._replace(degree=_degree(reading))
     notes = tuple(
         f"a panel at {x},{y},{w},{h} is taken to lie on top and is left out"
         for x, y, w, h in reading.panels
@@ -224,12 +225,20 @@ def blocks(picture: Picture, seed: int, most: int = LAST) -> np.ndarray:
     return np.sort(pixels[np.argsort(rank[pixels], kind="stable")[:most]])
 
 
+def _degree(reading: screenshot.Reading) -> int:
+    """Of the background that the light is searched before."""
+    whole = max(reading.picture.size) <= first_look.FINE
+    clear = grain(reading.picture) < TEXTURE
+    return FINER if reading.degree and whole and clear else reading.degree
+
+
 def _objection(looked: first_look.Look, held: np.ndarray, picture: Picture) -> str:
     """Why what the search found is no rays; empty where it is."""
     z = looked.ends[0].coordinates
     light = z[LIGHT_X : LIGHT_Y + 1]
     agreed, tried = first_look.agreed(looked.lights, light)
-    if not looked.explained > (0 if agreed > AGREED * tried else RAYS):
+    least = RAYS if grain(looked.copy) >= TEXTURE else CLEAR_RAYS
+    if not looked.explained > (0 if agreed > AGREED * tried else least):
         return NO_RAYS.format(100 * max(looked.explained, 0))
     # Of a light beside the picture it may be that only the veil is seen.
     if np.abs(light - 0.5).max() < 0.5 and _out_of_sight(looked.model, z, held, picture):
