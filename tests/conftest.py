@@ -4,6 +4,7 @@ broadcasting between ranks, and with every annotation in godfit checked (jaxtypi
 import atexit
 import gc
 import importlib
+import math
 import os
 import shutil
 import subprocess
@@ -76,13 +77,16 @@ for name in [n for n in sys.modules if n.split(".")[0] == "godfit"]:
 sys.modules |= compiled
 # Before any test module imports godfit: the hook rewrites modules as they are loaded.
 install_import_hook("godfit", "beartype.beartype")
+# A worker's heap is large, and giving it back after every program is compiled takes 1% of the time.
+importlib.import_module("godfit.allocator").LONG = math.inf
 
 
 # Files that take long, longest first: in the order of their names, or of how many tests they hold,
-# one of these comes last, and half of the cores wait for it.
+# one of these comes last, and half of the cores wait for it. The first two compile different
+# functions: what both need at once is compiled twice.
 LONG = (
-    "screenshot", "turns", "synthetic_fits", "photograph", "brightness", "staged", "profile",
-    "data_synthetic", "flatland_fit", "compare", "cache", "command_line", "indirect",
+    "screenshot", "flatland_fit", "turns", "synthetic_fits", "photograph", "brightness", "staged",
+    "profile", "data_synthetic", "compare", "cache", "command_line", "indirect",
     "flatland_gradients", "disc_pass", "flatland_published", "fit", "clear_rays", "flatland",
 )  # fmt: skip
 
