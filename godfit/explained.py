@@ -23,16 +23,15 @@ VARIES = 0.1
 AROUND, FEW, BAND = 6, 1 << 19, 36
 
 
-def explained(z, held, model: DiscLight, small: Picture) -> float:
+def explained(z, held, model: DiscLight, small: Picture, texture: float) -> float:
     """The share that the light at coordinates ``z`` (p,), ``held`` (p,) where not NaN, explains of
     what a smooth background alone would leave, in absolute deviations of the pixels whose light
-    pass can be read; 1 is all, below 0 is worse than none. Of a textured picture texture, which
-    nothing explains, is not asked for."""
+    pass can be read; 1 is all, below 0 is worse than none. Where there is ``texture``, in levels,
+    it is not asked for: nothing explains it."""
     # Cells of what the picture's own texels make: of a light beside the picture, coarse ones make
     # another.
     seen = small.observe(np.arange(small.size[0] * small.size[1]))
     made = np.asarray(predicted(z, held, model, seen)).reshape(*small.size, -1)
-    textured = grain(small) >= TEXTURE
     small = small.shrunk(-(-max(small.size) // COPY))
     usable = np.flatnonzero(small.valid & ~small.clipped)
     if len(usable) < 50:
@@ -45,8 +44,8 @@ def explained(z, held, model: DiscLight, small: Picture) -> float:
     if alone < VARIES:
         return 0.0
     # The mean deviation of a Gaussian. Rays and outlines, where there is no texture, look like it.
-    texture = grain(small) * math.sqrt(2 / math.pi) if textured else 0.0
-    return float((alone - left) / max(alone - texture, alone / 4))
+    unasked = grain(small) * math.sqrt(2 / math.pi) if texture >= TEXTURE else 0.0
+    return float((alone - left) / max(alone - unasked, alone / 4))
 
 
 def explained_of_cells(z, held, model: DiscLight, picture: Picture) -> float:

@@ -55,11 +55,12 @@ class End(NamedTuple):
 
 class Look(NamedTuple):
     """What the search found, best first, and the ``copy`` of the picture that it ended on, which is
-    the picture itself where that is no larger; where the light of every start (n, 2) had come to,
-    and how much of what varies the light explains (1 all)."""
+    the picture itself where that is no larger, and its ``texture``, in levels; where the light of
+    every start (n, 2) had come to, and how much of what varies the light explains (1 all)."""
 
     ends: tuple[End, ...]
     copy: Picture
+    texture: float
     model: DiscLight
     lights: np.ndarray
     explained: float
@@ -135,7 +136,8 @@ def look(
         ended = side_by_side(finely, zip(ended, coarse, strict=True))
     both = sorted(zip(ended, coarse, strict=True), key=lambda each: each[0].point.cost)
     best = both[0][0]
-    share = explained(best.point.coordinates, still, model, copy.with_mask(best.mask))
+    shaded = copy.with_mask(best.mask)
+    share = explained(best.point.coordinates, still, model, shaded, turns.texture)
     ends = [
         End(
             np.asarray(coordinates_at(read.point.coordinates, still, model), np.float32),
@@ -144,7 +146,8 @@ def look(
         )
         for read, mask in both
     ]
-    return Look(tuple(ends), copy, full, np.stack([p.coordinates[4:6] for p in points]), share)
+    lights = np.stack([p.coordinates[4:6] for p in points])
+    return Look(tuple(ends), copy, turns.texture, full, lights, share)
 
 
 def agreed(lights: np.ndarray, light: np.ndarray) -> tuple[int, int]:

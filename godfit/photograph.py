@@ -18,12 +18,14 @@ from godfit.arrays import on_device
 from godfit.beginnings import coordinates_of, with_background
 from godfit.bright_pass import DARK, SOFTNESS, THRESHOLD, BrightPass, brightness
 from godfit.disc import DENSITY, GAIN, LIGHT_X, LIGHT_Y, TERMS, terms
+from godfit.doubts import next_dip
 from godfit.errors import InputError
 from godfit.explained import explained_of_cells, grain
 from godfit.image import Image
 from godfit.inference import evidence
 from godfit.kept import kept
 from godfit.models import Mitchell
+from godfit.no_rays import NO_RAYS
 from godfit.observation import LEVELS, Observation, Picture
 from godfit.one_thread import one_thread
 from godfit.points import occlusion_of
@@ -32,7 +34,7 @@ from godfit.segment import grown
 from godfit.settling import settle
 from godfit.side_by_side import side_by_side
 from godfit.solver import Point, solve
-from godfit.unaided import DISAGREE, LEAST, NO_RAYS, blocks, next_dip
+from godfit.unaided import DISAGREE, LEAST, blocks
 from godfit.valley import bottoms, predictions
 from godfit.verdict import Found
 

@@ -25,20 +25,21 @@ FOREIGN = 0.02
 # made ones those of one colour vary by .04 at most, the others by 1.1 at least.
 SMOOTH = 0.3
 # Texture in levels next to which the light is taken to be white.
-TEXTURE = 1.5
+HIDES_COLOUR = 1.5
 # Share of the picture that must be background for the rest to be objects.
 LEAST = 0.03
 
 
 class Reading(NamedTuple):
     """``picture`` with ``mask`` 1 where it is open; ``unknown`` (h, w) is what shadows decide;
-    ``panels`` as (x, y, width, height); ``degree`` of the background; ``tint`` of the light, (2,)
-    or, where it is white, (0,)."""
+    ``panels`` as (x, y, width, height); ``degree`` of the background and its ``texture``, in
+    levels; ``tint`` of the light, (2,) or, where it is white, (0,)."""
 
     picture: Picture
     unknown: np.ndarray
     panels: list[tuple[int, int, int, int]]
     degree: int
+    texture: float
     tint: np.ndarray
 
 
@@ -61,12 +62,13 @@ def read(target: Image, valid: np.ndarray | None, occluder: np.ndarray | None) -
         unknown &= ~occluder
     picture = dataclasses.replace(picture, mask=open_, valid=picture.valid & ~silent)
     tint = colour[[0, 2]] if np.any(colour != 1) else np.zeros(0)
-    return Reading(picture, unknown, lying, 0 if found.variation < SMOOTH else 2, tint)
+    degree = 0 if found.variation < SMOOTH else 2
+    return Reading(picture, unknown, lying, degree, grain(picture), tint)
 
 
 def _light_colour(picture: Picture) -> np.ndarray:
     """The light's (c,). Texture has a colour of its own, which hides it."""
-    if grain(picture) > TEXTURE:
+    if grain(picture) > HIDES_COLOUR:
         return np.ones(picture.channels)
     return light_colour(picture.levels, picture.half, picture.valid)
 

@@ -10,38 +10,30 @@ import dataclasses
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from scipy import ndimage
 
 from godfit import first_look, inputs, screenshot
 from godfit.around import best_around
 from godfit.beside import NEAR, place_of
 from godfit.brightness import NARROW, along_gain
-from godfit.disc import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL, DiscLight
+from godfit.disc import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL
+from godfit.doubts import next_dip, rivals, shift
 from godfit.edge import hardened, softened, softer_at_once
 from godfit.errors import InputError
-from godfit.explained import TEXTURE, grain
+from godfit.explained import TEXTURE
 from godfit.image import Image
 from godfit.inference import evidence
 from godfit.models import Mitchell
+from godfit.no_rays import objection
 from godfit.observation import Observation, Picture
-from godfit.occluders import lit_by
 from godfit.one_thread import one_thread
 from godfit.pass_size import HALF, pass_scale_of
-from godfit.points import model_at, predicted
-from godfit.settling import Settled, Tangent, settle
+from godfit.settling import settle
 from godfit.side_by_side import side_by_side
-from godfit.solver import Point, solve_tangent
+from godfit.sight import hidden, out_of_sight
+from godfit.solver import Point
 from godfit.turns import SOME, Read, Turns
 from godfit.verdict import Found
 
-# Of what varies in a picture, the share that light must explain to be called rays: of a textured
-# one, where photographs, text and noise reach 0 and screenshots .4, and of others, where landscapes
-# reach .73 and screenshots .83 at least.
-RAYS, CLEAR_RAYS = 0.25, 0.75
-# Where less is explained, but by some light, the share of starts that must find it: of textured
-# screenshots up to nineteen of twenty do, of pictures without rays four of twelve at most, whose
-# light explains nothing.
-AGREED = 0.4
 # Exposure of a shader without a default, where nothing tells it from the weight.
 FAINT = 0.1
 # The valley in which radius, veil and gain trade is long.
@@ -58,22 +50,12 @@ TRIES = 3
 # Noise allowed for, in levels, where the search explains a picture: gains that leave as little next
 # to a level of it are told apart by what is left of rounding.
 ROUNDING = 0.3
-# A disc is in sight where it is brighter than the veil by this.
-SEEN = 1.1
 # Pixels of the last look, and of that at a picture that was searched whole: how bright a clipped
 # disc is hangs on a few pixels of many. They are in blocks of so many rows and columns: what errs
 # together is told by neighbours, and sums along rows cost less.
 LAST, LAST_OF_WHOLE, ROWS, COLUMNS = 16_384, 65_536, 8, 32
 # Pixels without which nothing can be told.
 LEAST = 500
-NO_RAYS = (
-    "no rays were found: a light explains {:.0f}% of what varies in this picture beside a smooth "
-    "background"
-)
-NO_LIGHT = (
-    "no rays were found: where a light would stand, at {:.2f}, {:.2f}, nothing is brighter than "
-    "the rest"
-)
 COARSE = "the light pass looks half the picture's size; give --pass-scale to say otherwise"
 DISAGREE = "only {} of {} starts agree on the light: look at fit.png; give --start light_x=..."
 HIDDEN = (
@@ -131,8 +113,8 @@ def found_in(
     best = looked.ends[0]
     opened: list[tuple[int, list[int]]] = []
     free = np.isnan(held) & model.used
-    hidden = _hidden(model, best.coordinates, held, picture)
-    if free[0] and free[3] and (hidden or not model.convention.own_pixel):
+    unseen = hidden(model, best.coordinates, held, picture)
+    if free[0] and free[3] and (unseen or not model.convention.own_pixel):
         # Only the disc itself would tell a pixel's own value, if it is shown, from its rays.
         default = model.shading.defaults.get("exposure", FAINT)
         if like is not None and np.isfinite(like[0]):
@@ -140,12 +122,12 @@ def found_in(
         held[0] = given.get("exposure", default)
         free[0] = False
         opened.append((0, [3]))
-    turns = Turns(model, picture, reading.unknown, grain(picture), free, held, seed)
+    turns = Turns(model, picture, reading.unknown, reading.texture, free, held, seed)
     whole = looked.copy.size == picture.size
     clear = whole and turns.texture < TEXTURE
     seen = picture.observe(blocks(picture, seed, LAST_OF_WHOLE if clear else LAST))
-    objection = _objection(looked, held, picture)
-    rays = not objection
+    said = objection(looked, held, picture)
+    rays = not said
     first = first_look.enlarged(best.mask, looked.copy.mask, picture.mask)
     rounds = ROUNDS if rays else 1
     if rays:
@@ -157,7 +139,7 @@ def found_in(
         turns, read, doubts = _finer_background(turns, read, doubts)
         model = turns.model
         z = read.point.coordinates
-        if not whole and free[EDGE] and not _hidden(model, z, turns.held, picture):
+        if not whole and free[EDGE] and not hidden(model, z, turns.held, picture):
             # Of a disc in sight: in glare what is misread looks soft.
             turns, read = softer_at_once(turns, read)
         say(f"all of the {len(seen.pixels):,} pixels")
@@ -183,31 +165,20 @@ def found_in(
         looked.lights, settled.coordinates[LIGHT_X : LIGHT_Y + 1]
     )
     remarks = []
-    if free[GAIN] and free[VEIL] and _out_of_sight(model, settled.coordinates, held, picture):
+    if free[GAIN] and free[VEIL] and out_of_sight(model, settled.coordinates, held, picture):
         opened.append((GAIN, [VEIL]))
     if found.starts_agreed[0] < 2 and found.starts_agreed[1] > 1:
         remarks.append(DISAGREE.format(*found.starts_agreed))
-    if _hidden(model, settled.coordinates, held, picture):
+    if hidden(model, settled.coordinates, held, picture):
         remarks.append(HIDDEN)
-    # As far from what was found as the rivals are from what the search ended with.
-    scale = pass_scale or 1.0
-    away = picture.mask - inputs.shrink_mask(first, scale)
-    rivals = (
-        away + inputs.shrink_mask(rival, scale)
-        for rival in _rivals(first, np.asarray(reading.picture.mask))
-    )
+    others = rivals(picture.mask, first, np.asarray(reading.picture.mask), pass_scale or 1.0)
     shifts = side_by_side(
-        lambda rival: _shift(
-            settled, tangent, model, seen, free, held, rival.clip(0, 1).astype(np.float32)
-        ),
-        rivals,
+        lambda other: shift(settled, tangent, model, seen, free, held, other), others
     )
-    shifts += [np.where(free, shift, 0.0) for shift in doubts]
+    shifts += [np.where(free, doubt, 0.0) for doubt in doubts]
     if free[DENSITY]:
         shifts.append(next_dip(settled, at.covariance(free), model.samples))
-    found = dataclasses.replace(
-        found, remarks=tuple(remarks), objection=objection, shifts=tuple(shifts)
-    )
+    found = dataclasses.replace(found, remarks=tuple(remarks), objection=said, shifts=tuple(shifts))
     return found, notes
 
 
@@ -228,22 +199,8 @@ def blocks(picture: Picture, seed: int, most: int = LAST) -> np.ndarray:
 def _degree(reading: screenshot.Reading) -> int:
     """Of the background that the light is searched before."""
     whole = max(reading.picture.size) <= first_look.FINE
-    clear = grain(reading.picture) < TEXTURE
+    clear = reading.texture < TEXTURE
     return FINER if reading.degree and whole and clear else reading.degree
-
-
-def _objection(looked: first_look.Look, held: np.ndarray, picture: Picture) -> str:
-    """Why what the search found is no rays; empty where it is."""
-    z = looked.ends[0].coordinates
-    light = z[LIGHT_X : LIGHT_Y + 1]
-    agreed, tried = first_look.agreed(looked.lights, light)
-    least = RAYS if grain(looked.copy) >= TEXTURE else CLEAR_RAYS
-    if not looked.explained > (0 if agreed > AGREED * tried else least):
-        return NO_RAYS.format(100 * max(looked.explained, 0))
-    # Of a light beside the picture it may be that only the veil is seen.
-    if np.abs(light - 0.5).max() < 0.5 and _out_of_sight(looked.model, z, held, picture):
-        return NO_LIGHT.format(*light)
-    return ""
 
 
 def _sizes(picture: Picture, texture: float) -> list[float]:
@@ -284,7 +241,7 @@ def _searched_again(
 def _trades(turns: Turns, read: Read) -> bool:
     """Whether the disc's gain trades with its radius: it is in sight, but not where it ends."""
     at = turns.model, read.point.coordinates, turns.held, turns.picture
-    return _hidden(*at) and not _out_of_sight(*at)
+    return hidden(*at) and not out_of_sight(*at)
 
 
 def _searched(
@@ -344,60 +301,3 @@ def _coloured(turns: Turns, read: Read, which: np.ndarray) -> tuple[Turns, Read]
     free[-len(which) :], held[-len(which) :] = which, np.where(which, np.nan, held[-len(which) :])
     turns = dataclasses.replace(turns, free=free, held=held)
     return turns, turns.turned(turns.solved(read, turns.noise), SOME)
-
-
-def _rivals(mask: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Masks as likely as ``mask``: objects a pixel smaller or larger, and as first seen."""
-    return (
-        np.asarray(ndimage.maximum_filter(mask, 3)),
-        np.asarray(ndimage.minimum_filter(mask, 3)),
-        first,
-    )
-
-
-def next_dip(settled: Settled, covariance: np.ndarray, samples: int) -> np.ndarray:
-    """(p,) how far the next of the dips lies that the taps make in the cost by density, see
-    ``dips.py``: with a mask of one's own making the deepest need not be the right one."""
-    dip = float(settled.coordinates[DENSITY]) / samples
-    return covariance[:, DENSITY] / covariance[DENSITY, DENSITY] * dip
-
-
-def _shift(
-    settled: Settled,
-    tangent: Tangent,
-    model: DiscLight,
-    seen: Observation,
-    free: np.ndarray,
-    held: np.ndarray,
-    mask: np.ndarray,
-) -> np.ndarray:
-    """(p,) how far the answer moves where ``mask`` is the right one, on the tangent."""
-    other = seen.with_mask(mask)
-    prediction = np.asarray(predicted(settled.coordinates, held, model, other))
-    lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
-    # Where the other mask would make a pixel foreign it is not that mask that is right.
-    sigma = max(settled.sigma, 0.5)
-    point = solve_tangent(
-        settled.coordinates, free, model, tangent.scale, prediction, tangent.jacobian, lo, hi,
-        sigma, seen.foreign,
-    )  # fmt: skip
-    return np.where(free, point.coordinates - settled.coordinates, 0.0)
-
-
-def _out_of_sight(model: DiscLight, z: np.ndarray, held: np.ndarray, picture: Picture) -> bool:
-    """Whether nothing in the picture is lit by more than the veil."""
-    lit = lit_by(model_at(z, held, model), (picture.mask.shape[0], picture.mask.shape[1]))
-    return bool(lit.max() < SEEN * lit.min())
-
-
-def _hidden(model: DiscLight, z: np.ndarray, held: np.ndarray, picture: Picture) -> bool:
-    """Whether less than a tenth of the light's outline lies where some channel can be read."""
-    at = model_at(z, held, model)
-    h, w = picture.size
-    (u, v), radius = np.asarray(at.light)[0], float(np.asarray(at.shape)[0])
-    turn = np.linspace(0, 2 * np.pi, 256, endpoint=False)
-    column = np.floor(u * w + radius * h * np.cos(turn)).astype(int)
-    row = np.floor((1 - v) * h - radius * h * np.sin(turn)).astype(int)
-    inside = (column >= 0) & (column < w) & (row >= 0) & (row < h)
-    known = ndimage.binary_erosion(picture.readable)
-    return bool(np.count_nonzero(known[row[inside], column[inside]]) < 25)

@@ -606,7 +606,7 @@ def test_what_is_not_explained_is_searched_again(monkeypatch):
     near = truth.copy()
     near[GAIN] *= 1.5
     every = picture.observe(picture.informative(1000, 0))
-    looked = first_look.Look((), picture, turns.model, np.zeros((0, 2)), 1.0)
+    looked = first_look.Look((), picture, 0.0, turns.model, np.zeros((0, 2)), 1.0)
     searched = []
 
     def search(ends, turns=turns, like=None):
