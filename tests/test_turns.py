@@ -629,7 +629,7 @@ def test_what_is_not_explained_is_searched_again(monkeypatch):
         cost = float(((levels - np.asarray(every.lo)) ** 2).sum())
         return read._replace(point=read.point._replace(cost=cost))
 
-    monkeypatch.setattr(unaided, "_hidden", lambda *_: False)
+    monkeypatch.setattr(unaided, "hidden", lambda *_: False)
     end, read, _ = search([near, truth, near])
     assert searched == [0, 1]
     assert end.seed == 1
@@ -642,7 +642,7 @@ def test_what_is_not_explained_is_searched_again(monkeypatch):
     for one in ({"turns": dataclasses.replace(turns, texture=2.0)}, {"like": truth[:4]}):
         search([near, truth], **one)
         assert searched == [0]
-    monkeypatch.setattr(unaided, "_hidden", lambda *_: True)
+    monkeypatch.setattr(unaided, "hidden", lambda *_: True)
     end, read, _ = search([near, truth, near])
     assert searched == list(range(unaided.TRIES))
     assert read.point.coordinates is truth
