@@ -32,12 +32,12 @@ import screens
 from stages import FRAMES, SEQUENCES, STAGES, Stage
 
 from godfit.flatland import Sky, canvas, render
-from godfit.image import atomic_write, write_image
-from godfit.inputs import drawn, place_of
-from godfit.models import Mitchell
-from godfit.parameters import light_parameters
-from godfit.radial.reference import bilinear
-from godfit.scene import Scene, read_scene
+from godfit.io.image import atomic_write, write_image
+from godfit.models.mitchell import Mitchell
+from godfit.request import drawn, place_of
+from godfit.scattering.parameters import light_parameters
+from godfit.scattering.radial.reference import bilinear
+from godfit.scenes.scene import Scene, read_scene
 
 MOVING = (*SEQUENCES, "sand")
 PLANE_RAYS = 128

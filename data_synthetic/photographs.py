@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
-from godfit.bright_pass import brightness
-from godfit.models import Mitchell
+from godfit.models.bright_pass import brightness
+from godfit.models.mitchell import Mitchell
 
 SHADER = "dawntime"
 

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
-from godfit.filters import shrink
-from godfit.models import Mitchell
+from godfit.io.filters import shrink
+from godfit.models.mitchell import Mitchell
 
 BACKGROUNDS = ("flat", "smooth", "textured")
 SHADER = "dawntime"

@@ -2,7 +2,7 @@
 
     python experiments/basins.py [--size PIXELS] [--grid N] [--figure FILE]
 
-Targets of three masks are fitted once; then the climb alone (``godfit.search.climb``, and settling
+Targets of three masks are fitted once; then the climb alone (``godfit.search.multigrid.climb``, and settling
 on a few thousand pixels) is begun from other places: the light away from its own by up to half a
 frame, and attenuation and density away from theirs. Printed: the share of starts from which the
 light (to .002), decay (.001) and density (.005) are found, and how far off the light may begin
@@ -18,10 +18,11 @@ import numpy as np
 import scenes
 from stability_judges import SAMPLES, TRUTH, light_pass, mask_of
 
-from godfit import FitResult, search
+from godfit import FitResult
 from godfit import fit as whole_fit
-from godfit.cache import keep_compiled
-from godfit.settling import settle
+from godfit.inference.settle import settle
+from godfit.runtime.cache import keep_compiled
+from godfit.search import multigrid
 
 KINDS = ("triangles", "ellipses", "clouds")
 REACH = 0.5
@@ -36,10 +37,10 @@ def arrives(result: FitResult, start: np.ndarray) -> bool:
     model, picture = result.model, result.picture
     free, held = result.free, result.held
     with jax.enable_x64(False):
-        point = search.climb(
+        point = multigrid.climb(
             picture.small, model, [start.astype(np.float32)], free, held, 0, lambda _: None
         )
-        seen = picture.observe(picture.informative(search.PIXELS, 0))
+        seen = picture.observe(picture.informative(multigrid.PIXELS, 0))
         settled, _ = settle(point.coordinates, model, seen, free, held)
         values = {k: float(v) for k, v in model.moved(settled.coordinates, held).values().items()}
     light = np.hypot(values["light_x"] - TRUTH["light_x"], values["light_y"] - TRUTH["light_y"])

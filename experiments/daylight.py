@@ -7,7 +7,7 @@ outside the frame, views of 40 to 90 degrees, before ridges, bars or blocks that
 the sky. Targets of 192x192 bytes are computed in float64 from the published formulas by other code
 than the fit's. A truth counts as found if every parameter that the fit says it knows is within four
 of its errors, or within half a percent. With --compare, these targets and as many of Mitchell's are
-given to `godfit.compare`, which has to prefer the model that made them.
+given to `godfit.studies.compare`, which has to prefer the model that made them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import scenes
 from scipy import ndimage
 
 from godfit import fit
-from godfit.compare import compare
+from godfit.studies.compare import compare
 
 SIZE, SAMPLES = 192, 60
 NAMES = ("e_sun", "scale", "turbidity", "g", "light_x", "light_y")

@@ -19,7 +19,7 @@ from PIL import Image
 from scipy import ndimage
 
 import godfit
-from godfit.cache import keep_compiled
+from godfit.runtime.cache import keep_compiled
 
 SAMPLES = 40
 # What a warning about each defect says.

@@ -34,10 +34,10 @@ import canvases  # pyright: ignore[reportMissingImports]
 import sand  # pyright: ignore[reportMissingImports]
 
 from godfit import fit
-from godfit.distance import jump_flood
 from godfit.flatland import Canvas, Sky, accumulated, canvas, effective_frames, render, weights
 from godfit.flatland import rays as walks
-from godfit.flatland.compiled_walk import FILLED, OUTSIDE
+from godfit.flatland.jump_flood import jump_flood
+from godfit.flatland.walk_kernel import FILLED, OUTSIDE
 
 REFERENCE_RAYS = 1024
 RAYS = (8, 16, 32, 64, 128, 256)

@@ -21,9 +21,9 @@ import numpy as np
 import scenes
 
 from godfit import FitResult, fit
-from godfit.cache import keep_compiled
-from godfit.posterior import posterior, with_posterior
-from godfit.profile import profile
+from godfit.runtime.cache import keep_compiled
+from godfit.studies.posterior import posterior, with_posterior
+from godfit.studies.profile_likelihood import profile
 
 SAMPLES = 60
 PROFILED = ("decay", "density")

@@ -2,7 +2,7 @@
 
     python experiments/mitchell_vs_hoffman_preetham.py [--quick] [--figure FILE]
 
-Targets are marched (``godfit.volume``): a sun over a box between the camera and the horizon, over
+Targets are marched (``godfit.models.volume``): a sun over a box between the camera and the horizon, over
 turbidity, the sun's elevation, g, optical depth and the size of the box; 96x96 bytes, exposed so
 that the brightest channel's 98th percentile is 230 levels. Mitchell is given what shaders have, in
 the picture's mean colour and behind the black box: a bright disc on a dim sky, and a sky that is
@@ -27,11 +27,11 @@ import numpy as np
 import scenes
 
 from godfit import FitResult, InputError, fit, rasterise
-from godfit.atmosphere import Air
-from godfit.compare import compare
-from godfit.inputs import view_of
-from godfit.scene import Scene, read_scene
-from godfit.volume import render
+from godfit.models.atmosphere import Air
+from godfit.models.volume import render
+from godfit.request import view_of
+from godfit.scenes.scene import Scene, read_scene
+from godfit.studies.compare import compare
 
 SIZE, FAR = 96, 12.0
 AXES = {

@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from godfit.atmosphere import LEAST_TURBIDITY, Air
-from godfit.image import atomic_write
-from godfit.scene import Scene, read_scene
+from godfit.io.image import atomic_write
+from godfit.models.atmosphere import LEAST_TURBIDITY, Air
+from godfit.scenes.scene import Scene, read_scene
 
 SIZE, HALF, BATCHES = 16, 6.0, 16
 

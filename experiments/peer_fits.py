@@ -18,8 +18,9 @@ import numpy as np
 import optimistix as optx
 from scipy import ndimage, optimize
 
-from godfit import Mitchell, fit, settling
-from godfit.solver import linearise
+from godfit import Mitchell, fit
+from godfit.inference import settle as settling
+from godfit.inference.solver import linearise
 
 NAMES = ("exposure", "decay", "density", "weight", "light_x", "light_y")
 TRUTH = np.array([0.02, 0.985, 0.85, 0.7, 0.56, 0.6])

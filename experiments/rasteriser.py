@@ -30,8 +30,8 @@ import numpy as np
 import stages
 from benchmark import timed
 
-from godfit import mesh, raster
-from godfit.scene import Camera, Light, Object, Scene
+from godfit.scenes import mesh, raster
+from godfit.scenes.scene import Camera, Light, Object, Scene
 
 SKULL = Path(__file__).parents[2] / "shared" / "models" / "skull" / "scene.gltf"
 POSE = ("light.position", "light.radius", "camera.position", "object[0].position")

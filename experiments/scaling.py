@@ -14,7 +14,7 @@ along the rows that is added up (2 multiplications, 2 additions), where nothing 
 taps x pixels x (4 + 3 mean(1 - t)) operations. Methods are held against the measured rates of
 multiplications and additions and of copies, in memory and in the cache that holds mask and picture.
 How much they read of it differs: 16 bytes a tap and pixel, or the strips' 8 + 8 mean(1 - t). All
-methods of ``godfit.radial.METHODS`` that are exact take part: within 1e-5 of white of float64.
+methods of ``godfit.scattering.radial.METHODS`` that are exact take part: within 1e-5 of white of float64.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ import numpy as np
 import scenes
 
 from godfit import Mitchell, fit
-from godfit.radial import METHODS
+from godfit.scattering.radial import METHODS
 
 SIZE, SAMPLES = 512, 150
 DENSITY, LIGHT = 0.85, (0.56, 0.6)

@@ -31,7 +31,7 @@ from screens import (  # pyright: ignore[reportMissingImports]
 )
 
 import godfit
-from godfit.cache import keep_compiled
+from godfit.runtime.cache import keep_compiled
 
 PHOTOGRAPH = "photograph"
 

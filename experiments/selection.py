@@ -22,7 +22,7 @@ import jax
 import numpy as np
 import scenes
 
-from godfit.select import select
+from godfit.studies.select import select
 
 SHADER, SAMPLES = "dawntime", 100
 DEFAULTS = {"decay": 0.99, "density": 0.8, "weight": 0.8, "light_x": 0.5, "light_y": 0.5}

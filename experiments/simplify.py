@@ -19,8 +19,8 @@ import scenes
 from scipy import ndimage
 
 from godfit import Mitchell
-from godfit.filters import shrink
-from godfit.simplify import Simpler, simplify
+from godfit.io.filters import shrink
+from godfit.studies.simplify import Simpler, simplify
 
 
 def truth_of(model: Mitchell) -> dict[str, float]:

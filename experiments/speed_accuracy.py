@@ -30,8 +30,8 @@ import numpy as np
 import scenes
 from benchmark import timed
 
-from godfit.radial import EXACT, METHODS, cheapest, radial_sum
-from godfit.taps import Taps, convention
+from godfit.scattering.radial import EXACT, METHODS, cheapest, radial_sum
+from godfit.scattering.taps import Taps, convention
 
 KINDS = {
     "hard": ("triangles", (0.56, 0.6)),

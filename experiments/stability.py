@@ -19,7 +19,7 @@ import numpy as np
 from stability_cases import CASES, Case
 from stability_judges import Outcome
 
-from godfit.cache import keep_compiled
+from godfit.runtime.cache import keep_compiled
 
 
 def attempt(case: Case, size: int) -> Outcome:

@@ -33,8 +33,8 @@ from stability_judges import (
 )
 
 import godfit
-from godfit.models import Mitchell
-from godfit.radial import METHODS
+from godfit.models.mitchell import Mitchell
+from godfit.scattering.radial import METHODS
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from godfit import mesh, projection, raster, visibility
-from godfit.scene import Camera, Light, Object, Scene
+from godfit.scenes import mesh, projection, raster, visibility
+from godfit.scenes.scene import Camera, Light, Object, Scene
 
 FOV, DISTANCE = 50.0, 5.0
 # Binary digits in which the samples of a pixel are counted.

@@ -19,9 +19,10 @@ import jax.numpy as jnp
 import numpy as np
 import scenes
 
-from godfit import fit, mesh
-from godfit.inputs import drawn
-from godfit.scene import Camera, Light, Object, Scene
+from godfit import fit
+from godfit.request import drawn
+from godfit.scenes import mesh
+from godfit.scenes.scene import Camera, Light, Object, Scene
 
 FREE = ("light.position", "light.radius", "object[0].position")
 SHAPES = (

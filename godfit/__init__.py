@@ -6,17 +6,17 @@
 from typing import TYPE_CHECKING
 
 from godfit.errors import InputError
-from godfit.image import Image, read_image, write_image
+from godfit.io.image import Image, read_image, write_image
 
 if TYPE_CHECKING:
-    from godfit.clip import ClipResult, fit_clip
     from godfit.fitting import fit
-    from godfit.models import Mitchell
-    from godfit.radial import radial_sum
-    from godfit.raster import rasterise
-    from godfit.result import Estimate, FitResult
-    from godfit.scene import Scene, read_scene
-    from godfit.taps import CONVENTIONS, Taps
+    from godfit.models.mitchell import Mitchell
+    from godfit.report.result import Estimate, FitResult
+    from godfit.scattering.radial import radial_sum
+    from godfit.scattering.taps import CONVENTIONS, Taps
+    from godfit.scenes.raster import rasterise
+    from godfit.scenes.scene import Scene, read_scene
+    from godfit.studies.clip import ClipResult, fit_clip
 
 __all__ = [
     "CONVENTIONS",
@@ -38,18 +38,18 @@ __all__ = [
 ]
 
 _HOMES = {
-    "CONVENTIONS": "godfit.taps",
-    "ClipResult": "godfit.clip",
-    "Estimate": "godfit.result",
-    "FitResult": "godfit.result",
-    "Mitchell": "godfit.models",
-    "Scene": "godfit.scene",
-    "Taps": "godfit.taps",
+    "CONVENTIONS": "godfit.scattering.taps",
+    "ClipResult": "godfit.studies.clip",
+    "Estimate": "godfit.report.result",
+    "FitResult": "godfit.report.result",
+    "Mitchell": "godfit.models.mitchell",
+    "Scene": "godfit.scenes.scene",
+    "Taps": "godfit.scattering.taps",
     "fit": "godfit.fitting",
-    "fit_clip": "godfit.clip",
-    "radial_sum": "godfit.radial",
-    "rasterise": "godfit.raster",
-    "read_scene": "godfit.scene",
+    "fit_clip": "godfit.studies.clip",
+    "radial_sum": "godfit.scattering.radial",
+    "rasterise": "godfit.scenes.raster",
+    "read_scene": "godfit.scenes.scene",
 }
 
 

@@ -12,25 +12,28 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from godfit import dips, indirect, inputs, photograph, restarts, screen, screen_air, search, unaided
-from godfit.candidates import likeliest
-from godfit.contested import agreed
+from godfit import request as inputs
+from godfit.blind import photograph, unaided
 from godfit.errors import InputError
 from godfit.flatland import inputs as plane
 from godfit.flatland.model import Flatland
 from godfit.flatland.starts import starts as starts_in_plane
-from godfit.hoffman_preetham import HoffmanPreetham
-from godfit.image import Image
-from godfit.inference import evidence, undetermined
-from godfit.inputs import Source
-from godfit.models import AbstractModel, Mitchell
-from godfit.observation import Picture
-from godfit.result import FitResult
-from godfit.scene import Scene, read_scene
-from godfit.settling import settle
-from godfit.staged import Staged, place, resized
-from godfit.timing import compile_seconds
-from godfit.verdict import Found, verdict
+from godfit.inference import indirect_inference
+from godfit.inference.information import evidence, undetermined
+from godfit.inference.observation import Picture
+from godfit.inference.settle import settle
+from godfit.io.image import Image
+from godfit.models.hoffman_preetham import HoffmanPreetham
+from godfit.models.mitchell import AbstractModel, Mitchell
+from godfit.models.staged import Staged, place, resized
+from godfit.report.result import FitResult
+from godfit.report.verdict import Found, verdict
+from godfit.request import Source
+from godfit.runtime.compile_time import compile_seconds
+from godfit.scenes.scene import Scene, read_scene
+from godfit.search import density_minima, multigrid, multistart, screening, screening_daylight
+from godfit.search.candidates import likeliest
+from godfit.search.edge_pixels import agreed
 
 STARTS = 6
 # Of them, those that a doubtful fit is tried from once more, each on its own.
@@ -77,7 +80,7 @@ def fit(
       integers are bytes (or 16-bit words), of floats linear values without rounding.
     - `mask`: the occlusion mask the scattering pass reads; linear, same aspect. A smaller one means
       a light pass at lower resolution. With neither mask nor scene nor canvas, the light is a disc
-      on a veil behind what is read off the target, see `godfit.screenshot`.
+      on a veil behind what is read off the target, see `godfit.blind.screenshot`.
     - `scene`: in place of a mask, the scene (or its file) that the mask is drawn from. Its light is
       where the search starts; shader, samples and the like may stand in it.
     - `canvas`: in place of a mask, what is drawn in the plane: a `godfit.flatland.Canvas`, an image
@@ -92,8 +95,8 @@ def fit(
     - `occluder`: without a mask, (h, w), what stands in the way beside what is read off the target:
       wherever it is not black.
     - `bright_pass`: without a mask, whether the light is all that is bright in the picture, as in a
-      photograph, see `godfit.photograph`.
-    - `shader`, `samples`: a name in `godfit.taps.CONVENTIONS`, by default the scene's or
+      photograph, see `godfit.blind.photograph`.
+    - `shader`, `samples`: a name in `godfit.scattering.taps.CONVENTIONS`, by default the scene's or
       `"mitchell"`; its own default number of samples.
     - `rays`: of the light in the plane, for each pixel, by default 64.
     - `lights`: how many lights are summed; they start in order from left to right.
@@ -278,22 +281,26 @@ def _look(
     begun = _starts(picture, model, given, seed)
     candidates = [begun[0]]
     if free.any():
-        ladder = search.SHARP if isinstance(model, Flatland) else search.LADDER
-        climbed = search.climb(picture.small, model, begun, free, held, seed, say, ladder)
+        ladder = multigrid.SHARP if isinstance(model, Flatland) else multigrid.LADDER
+        climbed = multigrid.climb(picture.small, model, begun, free, held, seed, say, ladder)
         candidates = [climbed.coordinates]
     if free.any() and model.banded:
-        candidates = dips.on_subset(picture, model, candidates[0], free, held, seed, say)
+        candidates = density_minima.on_subset(picture, model, candidates[0], free, held, seed, say)
     seen = picture.observe(pixels_used(picture, seed, most))
     say(f"all {len(seen.pixels):,} pixels")
     settled, at, counted = likeliest(picture, model, candidates, seen, free, held, seed)
     at = at.thinned(picture.repeats)
     found = Found(model, picture, counted, settled, at, free, held, opened, inquire)
-    if inquire and free.any() and model.banded and restarts.doubtful(found):
-        found = restarts.again(found, begun[:AGAIN], seed, say)
+    if inquire and free.any() and model.banded and multistart.doubtful(found):
+        found = multistart.again(found, begun[:AGAIN], seed, say)
         say("mask or transfer read otherwise")
-        remedy = restarts.remedy(found, lambda read: _starts(read, model, given, seed), seed)
+        remedy = multistart.remedy(found, lambda read: _starts(read, model, given, seed), seed)
         found = dataclasses.replace(found, remedy=remedy)
-    return indirect.corrected(_hold_open(found, given)) if inquire else _hold_open(found, given)
+    return (
+        indirect_inference.corrected(_hold_open(found, given))
+        if inquire
+        else _hold_open(found, given)
+    )
 
 
 def _starts(
@@ -301,11 +308,11 @@ def _starts(
 ) -> list[np.ndarray]:
     """Where the search begins, best first."""
     if isinstance(model, HoffmanPreetham):
-        return screen_air.starts(picture.small, model, given, keep=STARTS, seed=seed)
+        return screening_daylight.starts(picture.small, model, given, keep=STARTS, seed=seed)
     if isinstance(model, Flatland):
         return starts_in_plane(picture.small, model, given, keep=STARTS, seed=seed)
     assert isinstance(model, Mitchell)
-    return screen.starts(picture.small, model, given, keep=STARTS, seed=seed)
+    return screening.starts(picture.small, model, given, keep=STARTS, seed=seed)
 
 
 def _look_on_stage(

@@ -28,7 +28,7 @@ import jax
 import pytest
 from jaxtyping import install_import_hook
 
-from godfit.cache import keep_compiled
+from godfit.runtime.cache import keep_compiled
 
 if "PYTEST_XDIST_WORKER" not in os.environ:
     atexit.register(shutil.rmtree, os.environ["GODFIT_CACHE"], ignore_errors=True)
@@ -52,24 +52,24 @@ keep_compiled()
 
 # What numba compiles cannot be wrapped: it is loaded first, and all else once more.
 COMPILED = (
-    "godfit.projection",
-    "godfit.visibility",
-    "godfit.contours",
-    "godfit.crossing",
-    "godfit.shadows",
-    "godfit.lasso",
-    "godfit.consensus",
-    "godfit.texel_sums",
-    "godfit.disc_sums",
-    "godfit.disc_box",
-    "godfit.disc_pass",
-    "godfit.flatland.compiled_walk",
-    "godfit.flatland.compiled",
-    "godfit.flatland.compiled_derivatives",
-    "godfit.flatland.compiled_cascades",
-    "godfit.radial.compiled",
-    "godfit.radial.foreign",
-    "godfit.radial.spacings",
+    "godfit.scenes.projection",
+    "godfit.scenes.visibility",
+    "godfit.scenes.contours",
+    "godfit.scenes.intersections",
+    "godfit.scenes.shadow_maps",
+    "godfit.blind.lasso",
+    "godfit.blind.consensus",
+    "godfit.scattering.mask_jacobian",
+    "godfit.blind.disc_sums",
+    "godfit.models.disc_box",
+    "godfit.models.disc_kernel",
+    "godfit.flatland.walk_kernel",
+    "godfit.flatland.render_kernel",
+    "godfit.flatland.derivative_kernel",
+    "godfit.flatland.cascade_kernel",
+    "godfit.scattering.radial.strips_kernel",
+    "godfit.runtime.xla_ffi",
+    "godfit.scattering.radial.spacings",
 )
 compiled = {name: importlib.import_module(name) for name in COMPILED}
 for name in [n for n in sys.modules if n.split(".")[0] == "godfit"]:
@@ -78,7 +78,7 @@ sys.modules |= compiled
 # Before any test module imports godfit: the hook rewrites modules as they are loaded.
 install_import_hook("godfit", "beartype.beartype")
 # A worker's heap is large, and giving it back after every program is compiled takes 1% of the time.
-importlib.import_module("godfit.allocator").LONG = math.inf
+importlib.import_module("godfit.runtime.malloc").LONG = math.inf
 
 
 # Files that take long, longest first: in the order of their names, or of how many tests they hold,
@@ -113,7 +113,7 @@ def resident() -> float:
 def forget():
     """Compiled programs of one file are of little use to the next, and take gigabytes together."""
     yield
-    importlib.import_module("godfit.kept").forget_programs()
+    importlib.import_module("godfit.runtime.program_cache").forget_programs()
     if resident() > MOST:
         jax.clear_caches()
 

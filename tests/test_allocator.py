@@ -9,7 +9,7 @@ import pytest
 # come from the heap, and stay there under a small block that is kept.
 PROGRAM = """
 import ctypes
-from godfit.allocator import keep_little
+from godfit.runtime.malloc import keep_little
 
 if {little}:
     keep_little()

@@ -5,8 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from godfit import InputError, atmosphere
-from godfit.atmosphere import Air, hoffman_preetham, zenith_angle
+from godfit import InputError
+from godfit.models import atmosphere
+from godfit.models.atmosphere import Air, hoffman_preetham, zenith_angle
 
 UP = jnp.array([0.0, 1.0, 0.0])
 

@@ -4,14 +4,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from godfit import brightness
-from godfit.beside import holding, nearer
-from godfit.brightness import NARROW, SAME, WIDE, along_density, along_gain
-from godfit.disc import DENSITY, EDGE, GAIN, RADIUS, DiscLight
-from godfit.models import Mitchell
-from godfit.observation import Picture
-from godfit.solver import Point
-from godfit.turns import Read, Turns
+from godfit.blind import brightness
+from godfit.blind.beside import holding, nearer
+from godfit.blind.brightness import NARROW, SAME, WIDE, along_density, along_gain
+from godfit.blind.turns import Read, Turns
+from godfit.inference.observation import Picture
+from godfit.inference.solver import Point
+from godfit.models.disc_light import DENSITY, EDGE, GAIN, RADIUS, DiscLight
+from godfit.models.mitchell import Mitchell
 
 SIZE = (90, 160)
 

@@ -6,14 +6,14 @@ import sys
 
 import pytest
 
-from godfit.cache import cache_folder
+from godfit.runtime.cache import cache_folder
 
 SUM = """
-from godfit.cache import keep_compiled
+from godfit.runtime.cache import keep_compiled
 keep_compiled()
 import jax, jax.numpy as jnp
-from godfit.radial import radial_sum
-from godfit.taps import Taps
+from godfit.scattering.radial import radial_sum
+from godfit.scattering.taps import Taps
 mask = jnp.linspace(0, 1, 40 * 50).reshape(40, 50)
 total = jax.jit(lambda m: radial_sum(m, jnp.array([0.3, 0.6]), Taps(0.2, 0.1, 0.9, 0.04, 20)))
 print(total(mask).sum())

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from godfit.clear_rays import seen_clearly
-from godfit.disc import DENSITY, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
-from godfit.disc_sums import best_discs, disc_sums, is_clear, open_sums
-from godfit.filters import shrink
-from godfit.inputs import image
-from godfit.models import Mitchell
-from godfit.observation import Picture
-from godfit.solver import Point
-from godfit.turns import Read, Turns
+from godfit.blind.clear_rays import seen_clearly
+from godfit.blind.disc_sums import best_discs, disc_sums, is_clear, open_sums
+from godfit.blind.turns import Read, Turns
+from godfit.inference.observation import Picture
+from godfit.inference.solver import Point
+from godfit.io.filters import shrink
+from godfit.models.disc_light import DENSITY, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
+from godfit.models.mitchell import Mitchell
+from godfit.request import image
 
 SIZE = (108, 192)
 LIGHT, RADIUS_THERE, VEIL, COLOUR = (0.43, 0.56), 0.11, 0.05, (0.2, 0.25, 0.3)

@@ -6,10 +6,11 @@ import jax
 import numpy as np
 import pytest
 
-from godfit import clip, clip_report
-from godfit.disc import GAIN, VEIL, DiscLight
-from godfit.image import read_image
-from godfit.models import Mitchell
+from godfit.io.image import read_image
+from godfit.models.disc_light import GAIN, VEIL, DiscLight
+from godfit.models.mitchell import Mitchell
+from godfit.report import clip as clip_report
+from godfit.studies import clip
 
 
 def truly():

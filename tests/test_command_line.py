@@ -14,8 +14,8 @@ import pytest
 
 from godfit import read_image, write_image
 from godfit.__main__ import main
-from godfit.report import number
-from godfit.sidecar import read_sidecar
+from godfit.io.sidecar import read_sidecar
+from godfit.report.text import number
 
 FOLDER = Path(__file__).parents[1] / "data_synthetic"
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from godfit.__main__ import main
-from godfit.compare import compare
-from godfit.image import write_image
+from godfit.io.image import write_image
+from godfit.studies.compare import compare
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import daylight

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from godfit.consensus import passed_by, votes_for
+from godfit.blind.consensus import passed_by, votes_for
 
 RNG = np.random.default_rng(5)
 

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from godfit.correlated import neighbours, slope_covariance, white, widened
-from godfit.observation import Observation, Picture
-from godfit.settling import Tangent
-from godfit.verdict import is_a_line
+from godfit.inference.observation import Observation, Picture
+from godfit.inference.sandwich import neighbours, slope_covariance, white, widened
+from godfit.inference.settle import Tangent
+from godfit.report.verdict import is_a_line
 
 SIZE = 96
 

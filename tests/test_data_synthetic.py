@@ -15,16 +15,16 @@ import pytest
 from PIL import Image, ImageSequence
 
 from godfit.flatland import Sky, read_canvas, render
-from godfit.image import read_image, read_layer
-from godfit.inputs import drawn
-from godfit.models import Mitchell
-from godfit.raster import on_screen
-from godfit.scene import read_scene
-from godfit.sidecar import read_sidecar
+from godfit.io.image import read_image, read_layer
+from godfit.io.sidecar import read_sidecar
+from godfit.models.mitchell import Mitchell
+from godfit.request import drawn
+from godfit.scenes.raster import on_screen
+from godfit.scenes.scene import read_scene
 
 # What numba compiles cannot be wrapped by the hook of conftest.py.
 with mock.patch.object(sys, "meta_path", [f for f in sys.meta_path if not hasattr(f, "modules")]):
-    importlib.import_module("godfit.visibility")
+    importlib.import_module("godfit.scenes.visibility")
 
 FOLDER = Path(__file__).parent.parent / "data_synthetic"
 MANIFEST = json.loads((FOLDER / "manifest.json").read_text())

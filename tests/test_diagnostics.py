@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from godfit.blocks import was_jpeg
-from godfit.diagnostics import Span, Suspect, named
-from godfit.restarts import edges_agree
+from godfit.inference.diagnostics import Span, Suspect, named
+from godfit.io.blocks import was_jpeg
+from godfit.search.multistart import edges_agree
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import diagnostics

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from godfit.disc import DiscLight
-from godfit.models import Mitchell
-from godfit.upsample import columns_rows
+from godfit.models.disc_light import DiscLight
+from godfit.models.mitchell import Mitchell
+from godfit.scattering.upsample import columns_rows
 
 SIZE = (120, 200)
 

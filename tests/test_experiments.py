@@ -14,7 +14,7 @@ import peer_fits
 import peers
 import scaling
 
-from godfit import radial
+from godfit.scattering import radial
 
 SAMPLES = 20
 

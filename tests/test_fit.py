@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import godfit
-from godfit.image import Image
-from godfit.inference import undetermined
-from godfit.screen import _in_order, places_for
+from godfit.inference.information import undetermined
+from godfit.io.image import Image
+from godfit.search.screening import _in_order, places_for
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import scenes

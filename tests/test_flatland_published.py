@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from godfit.distance import jump_flood
 from godfit.flatland import Sky, canvas, render
 from godfit.flatland import published as as_published
 from godfit.flatland.accumulate import accumulated, effective_frames, weights
+from godfit.flatland.jump_flood import jump_flood
 from godfit.flatland.rays import angles
 
 DARK = (0.0, 0.0, 0.0)

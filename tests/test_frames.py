@@ -8,8 +8,8 @@ import pytest
 
 from godfit.commands.clip import name_of
 from godfit.errors import InputError
-from godfit.frames import frames, is_video
-from godfit.image import write_image
+from godfit.io.frames import frames, is_video
+from godfit.io.image import write_image
 
 
 @pytest.fixture

@@ -7,10 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from godfit import beginnings, glare, inputs, screenshot
-from godfit.disc import VEIL, DiscLight
-from godfit.models import Mitchell
-from godfit.observation import LEVELS, Picture
+from godfit import request as inputs
+from godfit.blind import beginnings, glare, screenshot
+from godfit.inference.observation import LEVELS, Picture
+from godfit.models.disc_light import VEIL, DiscLight
+from godfit.models.mitchell import Mitchell
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
 from screens import made

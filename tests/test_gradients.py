@@ -9,9 +9,9 @@ import oracle
 import pytest
 from jax.test_util import check_grads
 
-from godfit.models import Mitchell
-from godfit.radial import radial_sum
-from godfit.taps import Taps
+from godfit.models.mitchell import Mitchell
+from godfit.scattering.radial import radial_sum
+from godfit.scattering.taps import Taps
 
 # A density that puts no tap on a texel line by accident: there the bilinear mask has two slopes.
 POINT = (0.13, 0.93, 0.7391, 0.6)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import godfit
-from godfit.atmosphere import Air
-from godfit.hoffman_preetham import HoffmanPreetham, View
+from godfit.models.atmosphere import Air
+from godfit.models.hoffman_preetham import HoffmanPreetham, View
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import daylight

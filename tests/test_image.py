@@ -20,8 +20,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from godfit import image
-from godfit.image import (
+from godfit.io import image
+from godfit.io.image import (
     MAX_PIXELS,
     Image,
     InputError,

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import godfit
-from godfit.jpeg import compressed
-from godfit.posterior import posterior
-from godfit.profile import profile
+from godfit.io.jpeg import compressed
+from godfit.studies.posterior import posterior
+from godfit.studies.profile_likelihood import profile
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import scenes

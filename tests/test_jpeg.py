@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from godfit.jpeg import compressed, settings_of
+from godfit.io.jpeg import compressed, settings_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import scenes

@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from godfit import Mitchell, kept
-from godfit.cache import SWITCH
-from godfit.radial.exact import EXACT
+from godfit import Mitchell
+from godfit.runtime import program_cache as kept
+from godfit.runtime.cache import SWITCH
+from godfit.scattering.radial.exact import EXACT
 
 MODEL = Mitchell(0.05, 0.98, 0.8, 0.7, (0.5, 0.6), "dawntime", 20)
 MASK = (np.random.default_rng(0).random((24, 32)) > 0.5).astype(float)
@@ -158,10 +159,11 @@ def test_what_cannot_be_kept_is_compiled(traced, another_run):
 
 @pytest.mark.skipif("strips" not in EXACT, reason="numba is not installed")
 def test_foreign_functions_are_known_by_name():
-    from godfit.radial import compiled, foreign
+    from godfit.runtime import xla_ffi
+    from godfit.scattering.radial import strips_kernel
 
-    assert foreign.made_known(compiled.NAMES["points", False])
-    assert not foreign.made_known("nobody")
+    assert xla_ffi.made_known(strips_kernel.NAMES["points", False])
+    assert not xla_ffi.made_known("nobody")
 
 
 def test_a_model_comes_back_as_one(traced, another_run):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import log_ndtr
 
-from godfit import likelihood
+from godfit.inference import likelihood
 
 interval = jax.jit(likelihood.interval)
 log_likelihood = jax.jit(likelihood.log_likelihood)

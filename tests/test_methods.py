@@ -6,9 +6,9 @@ import numpy as np
 import oracle
 import pytest
 
-from godfit import radial
-from godfit.radial.merged import merge
-from godfit.taps import CONVENTIONS, Taps, convention
+from godfit.scattering import radial
+from godfit.scattering.radial.merged_taps import merge
+from godfit.scattering.taps import CONVENTIONS, Taps, convention
 
 APPROXIMATE = [name for name in radial.METHODS if name not in radial.EXACT]
 radial_sum = jax.jit(radial.radial_sum, static_argnames="method")

@@ -7,9 +7,9 @@ import numpy as np
 import oracle
 import pytest
 
-from godfit import upsample
-from godfit.models import Mitchell
-from godfit.taps import CONVENTIONS
+from godfit.models.mitchell import Mitchell
+from godfit.scattering import upsample
+from godfit.scattering.taps import CONVENTIONS
 
 RNG = np.random.default_rng(0)
 MASK = jnp.asarray(oracle.smooth_mask(11, 13))

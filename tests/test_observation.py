@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from godfit import explained
-from godfit.explained import grain
-from godfit.filters import over_channels
-from godfit.observation import CLIPPED, Picture
+from godfit.blind import explained
+from godfit.blind.explained import grain
+from godfit.inference.observation import CLIPPED, Picture
+from godfit.io.filters import over_channels
 
 RNG = np.random.default_rng(7)
 

@@ -4,11 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from godfit import outline
-from godfit.disc import DiscLight
-from godfit.models import Mitchell
-from godfit.observation import Picture
-from godfit.occluders import asked, price
+from godfit.blind import outline
+from godfit.blind.occluders import asked, price
+from godfit.inference.observation import Picture
+from godfit.models.disc_light import DiscLight
+from godfit.models.mitchell import Mitchell
 
 SIZE = (60, 90)
 

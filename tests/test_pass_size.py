@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from godfit import screenshot
-from godfit.inputs import image
-from godfit.observation import Picture
-from godfit.pass_size import _bends, pass_scale_of
+from godfit.blind import screenshot
+from godfit.blind.pass_size import _bends, pass_scale_of
+from godfit.inference.observation import Picture
+from godfit.request import image
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
 from screens import made

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import godfit
-from godfit.bright_pass import LUMA, BrightPass, brightness
+from godfit.blind.photograph import _between, _unlit
 from godfit.errors import InputError
-from godfit.models import Mitchell
-from godfit.photograph import _between, _unlit
+from godfit.models.bright_pass import LUMA, BrightPass, brightness
+from godfit.models.mitchell import Mitchell
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
 from photographs import SHADER, taken

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from godfit.pooling import pooled
+from godfit.studies.pooling import pooled
 
 
 def frames(rng, count, widen=1.0):

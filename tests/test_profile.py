@@ -10,8 +10,8 @@ from test_fit import TRUTH, fit, picture
 
 from godfit.__main__ import main
 from godfit.errors import InputError
-from godfit.image import write_image
-from godfit.profile import profile
+from godfit.io.image import write_image
+from godfit.studies.profile_likelihood import profile
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import intervals
@@ -89,7 +89,7 @@ def test_command_writes_the_interval(tmp_path, monkeypatch, capsys):
 
 def test_posterior_agrees_with_the_profile(noisy):
     pytest.importorskip("blackjax")
-    from godfit.posterior import posterior, with_posterior
+    from godfit.studies.posterior import posterior, with_posterior
 
     drawn = posterior(noisy, draws=2000, warm_up=200)
     assert drawn.divergent == 0
@@ -105,7 +105,7 @@ def test_posterior_agrees_with_the_profile(noisy):
 def test_without_blackjax_one_line_says_so(monkeypatch, noisy):
     import sys
 
-    from godfit.posterior import posterior
+    from godfit.studies.posterior import posterior
 
     monkeypatch.setitem(sys.modules, "blackjax", None)
     with pytest.raises(InputError, match=r"pip install 'godfit\[posterior\]'"):

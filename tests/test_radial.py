@@ -8,12 +8,12 @@ import numpy as np
 import oracle
 import pytest
 
-from godfit import radial
-from godfit.radial.spacings import left
-from godfit.taps import Taps, convention
+from godfit.scattering import radial
+from godfit.scattering.radial.spacings import left
+from godfit.scattering.taps import Taps, convention
 
 # godfit.radial.pairs the module; the package has a function of that name.
-pairs_module = importlib.import_module("godfit.radial.pairs")
+pairs_module = importlib.import_module("godfit.scattering.radial.pairs")
 
 radial_sum = jax.jit(radial.radial_sum, static_argnames="method")
 

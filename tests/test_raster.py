@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 import raster_oracle as oracle
 
-from godfit import contours, mesh, projection, raster, visibility
-from godfit.scene import Camera, Light, Object, Scene
+from godfit.scenes import contours, mesh, projection, raster, visibility
+from godfit.scenes.scene import Camera, Light, Object, Scene
 
 SHARED = Path(__file__).parents[2] / "shared"
 WEBGL, MODELS = SHARED / "targets" / "webgl", SHARED / "models"

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from godfit.likelihood import log_likelihood
-from godfit.observation import Picture
-from godfit.repeated import MANY, relieved
+from godfit.inference.likelihood import log_likelihood
+from godfit.inference.observation import Picture
+from godfit.inference.repeated_values import MANY, relieved
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import scenes

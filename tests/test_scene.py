@@ -14,10 +14,10 @@ from hypothesis.extra import numpy as hnp
 from jax.test_util import check_grads
 from scipy.spatial.transform import Rotation
 
-from godfit import mesh
 from godfit.errors import InputError
-from godfit.mesh import edges
-from godfit.scene import OBJECT, Scene, read_scene
+from godfit.scenes import mesh
+from godfit.scenes.mesh import edges
+from godfit.scenes.scene import OBJECT, Scene, read_scene
 
 MODELS = Path(__file__).parents[2] / "shared" / "models"
 SECTIONS = {

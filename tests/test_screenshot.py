@@ -11,21 +11,31 @@ import pytest
 from scipy.stats import norm
 
 import godfit
-from godfit import beginnings, beside, first_look, screen_disc, screenshot, unaided
-from godfit.bright_pass import BrightPass
-from godfit.disc import DARKEST, FIRST, GAIN, LIGHT_X, LIGHT_Y, SOFT, TERMS, VEIL, DiscLight
-from godfit.explained import explained, grain
-from godfit.inputs import image, shrink_mask
-from godfit.likelihood import ANY_LEVEL, deviance_residuals, interval
-from godfit.models import Mitchell
-from godfit.no_rays import CLEAR_RAYS, RAYS, objection
-from godfit.observation import Picture
-from godfit.occluders import asked
-from godfit.result import Estimate
-from godfit.segment import light_colour, panels, segments
-from godfit.solver import Point, solve
-from godfit.turns import Read
-from godfit.verdict import _from_anywhere
+from godfit.blind import beginnings, beside, first_look, screen_disc, screenshot, unaided
+from godfit.blind.explained import explained, grain
+from godfit.blind.no_rays import CLEAR_RAYS, RAYS, objection
+from godfit.blind.occluders import asked
+from godfit.blind.segment import light_colour, panels, segments
+from godfit.blind.turns import Read
+from godfit.inference.likelihood import ANY_LEVEL, deviance_residuals, interval
+from godfit.inference.observation import Picture
+from godfit.inference.solver import Point, solve
+from godfit.models.bright_pass import BrightPass
+from godfit.models.disc_light import (
+    DARKEST,
+    FIRST,
+    GAIN,
+    LIGHT_X,
+    LIGHT_Y,
+    SOFT,
+    TERMS,
+    VEIL,
+    DiscLight,
+)
+from godfit.models.mitchell import Mitchell
+from godfit.report.result import Estimate
+from godfit.report.verdict import _from_anywhere
+from godfit.request import image, shrink_mask
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
 from screens import made

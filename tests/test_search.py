@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from godfit.filters import blurred, blurred_at
-from godfit.observation import Picture
-from godfit.screen import _solve, apart, light_grid
-from godfit.side_by_side import in_halves
+from godfit.inference.observation import Picture
+from godfit.io.filters import blurred, blurred_at
+from godfit.runtime.parallel import in_halves
+from godfit.search.screening import _solve, apart, light_grid
 
 
 @pytest.mark.parametrize("sigma", [0.3, 1.0, 3.0, 40.0])

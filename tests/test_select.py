@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from godfit.__main__ import main
-from godfit.image import write_image
-from godfit.models import Mitchell
-from godfit.select import select
+from godfit.io.image import write_image
+from godfit.models.mitchell import Mitchell
+from godfit.studies.select import select
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import scenes

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from godfit import Mitchell, fit
-from godfit.observation import Observation, Picture
-from godfit.settling import Settled, _exact, _least, settle, tangent_at
+from godfit.inference.observation import Observation, Picture
+from godfit.inference.settle import Settled, _exact, _least, settle, tangent_at
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import scenes

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from godfit.solver import _inside
+from godfit.inference.solver import _inside
 
 P = 6
 

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 import godfit
-from godfit import mesh, staged
 from godfit.errors import InputError
-from godfit.inputs import drawn
-from godfit.models import Mitchell
-from godfit.raster import on_screen, rasterise
-from godfit.scene import Camera, Light, Object, Scene
-from godfit.staged import Staged
+from godfit.models import staged
+from godfit.models.mitchell import Mitchell
+from godfit.models.staged import Staged
+from godfit.request import drawn
+from godfit.scenes import mesh
+from godfit.scenes.raster import on_screen, rasterise
+from godfit.scenes.scene import Camera, Light, Object, Scene
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import scenes

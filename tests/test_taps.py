@@ -7,9 +7,9 @@ import numpy as np
 import oracle
 import pytest
 
-from godfit.models import Mitchell
-from godfit.radial import radial_sum
-from godfit.taps import CONVENTIONS, Taps, convention
+from godfit.models.mitchell import Mitchell
+from godfit.scattering.radial import radial_sum
+from godfit.scattering.taps import CONVENTIONS, Taps, convention
 
 MASK = oracle.smooth_mask(11, 13)
 LIGHT = (0.3, 0.8)

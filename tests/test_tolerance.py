@@ -6,10 +6,10 @@ import numpy as np
 import oracle
 import pytest
 
-from godfit import radial
-from godfit.radial import METHODS, cheapest, error
-from godfit.radial.tolerance import costs
-from godfit.taps import Taps, convention
+from godfit.scattering import radial
+from godfit.scattering.radial import METHODS, cheapest, error
+from godfit.scattering.radial.error_estimate import costs
+from godfit.scattering.taps import Taps, convention
 
 radial_sum = jax.jit(radial.radial_sum, static_argnames="method")
 

@@ -8,17 +8,17 @@ import pytest
 from scipy import sparse
 from scipy.optimize import minimize
 
-from godfit import around, beside, elsewhere, first_look, glare, occluders, unaided
-from godfit import edge as edges
-from godfit import lasso as lasso_module
-from godfit.disc import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, VEIL, DiscLight
-from godfit.lasso import Along, lasso
-from godfit.models import Mitchell
-from godfit.observation import Picture
-from godfit.occluders import FLIP, PULL, _sums, asked, light_read, price
-from godfit.points import predicted
-from godfit.solver import Point
-from godfit.turns import Read, Turns
+from godfit.blind import around, beside, elsewhere, first_look, glare, occluders, unaided
+from godfit.blind import edge as edges
+from godfit.blind import lasso as lasso_module
+from godfit.blind.lasso import Along, lasso
+from godfit.blind.occluders import FLIP, PULL, _sums, asked, light_read, price
+from godfit.blind.turns import Read, Turns
+from godfit.inference.evaluate import predicted
+from godfit.inference.observation import Picture
+from godfit.inference.solver import Point
+from godfit.models.disc_light import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, VEIL, DiscLight
+from godfit.models.mitchell import Mitchell
 
 SIZE = (90, 160)
 

@@ -12,11 +12,11 @@ import pytest
 from scipy import integrate
 
 from godfit import InputError
-from godfit.atmosphere import Air, hoffman_preetham, sunlight
-from godfit.inputs import view_of
-from godfit.scene import read_scene
-from godfit.shadows import shadows
-from godfit.volume import march, render, trace, view_rays
+from godfit.models.atmosphere import Air, hoffman_preetham, sunlight
+from godfit.models.volume import march, render, trace, view_rays
+from godfit.request import view_of
+from godfit.scenes.scene import read_scene
+from godfit.scenes.shadow_maps import shadows
 
 REFERENCES = Path(__file__).parent / "volume_references.npz"
 TOWARDS = np.array([0.0, 0.8, -0.6])

@@ -38,7 +38,7 @@ def fit_frames(
     verbose: bool,
 ) -> int:
     """One shader for all ``targets``, a light for each; the rest as of one picture."""
-    from godfit.frames import frames
+    from godfit.io.frames import frames
 
     said = {name: value for name, value in given.items() if value not in (None, (), False)}
     for name in said:
@@ -53,9 +53,9 @@ def fit_frames(
         size = next(iter(frames(targets, every))).values.shape[:2]
         valid = look_away(ignore, size)
     with working(quiet, verbose) as progress:
-        from godfit.clip import fit_clip
-        from godfit.clip_report import as_json as record
-        from godfit.clip_report import save
+        from godfit.report.clip import as_json as record
+        from godfit.report.clip import save
+        from godfit.studies.clip import fit_clip
 
         made_ready(said, quiet, progress)
         result = fit_clip(

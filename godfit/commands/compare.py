@@ -44,7 +44,7 @@ def compare(
     study = opened(target, given, ignore, output)
     study.options.pop("model", None)
     with working(quiet, verbose) as progress:
-        from godfit import compare as comparing
+        from godfit.studies import compare as comparing
 
         made_ready(study.options, quiet, progress, study.image.values.shape)
         found = comparing.compare(

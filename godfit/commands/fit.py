@@ -20,11 +20,11 @@ from godfit.commands.study import (
     working,
     written,
 )
-from godfit.frames import is_video
+from godfit.io.frames import is_video
 
 if TYPE_CHECKING:
     from godfit.commands.progress import Progress
-    from godfit.result import FitResult
+    from godfit.report.result import FitResult
 
 
 @click.command()
@@ -91,9 +91,9 @@ def fit(
         raise click.UsageError(f"--free {free[0]}: expected --scene SCENE.toml with it, got a mask")
     with working(quiet, verbose) as progress:
         from godfit.fitting import fit as run
-        from godfit.posterior import require
-        from godfit.report import as_json as record
-        from godfit.report import save
+        from godfit.report.text import as_json as record
+        from godfit.report.text import save
+        from godfit.studies.posterior import require
 
         if posterior:
             require()
@@ -126,8 +126,8 @@ def with_intervals(
     result: FitResult, names: tuple[str, ...], posterior: bool, seed: int, progress: Progress
 ) -> FitResult:
     """The result with the intervals that were asked for."""
-    from godfit import posterior as drawing
-    from godfit.profile import check, profile
+    from godfit.studies import posterior as drawing
+    from godfit.studies.profile_likelihood import check, profile
 
     for name in names:
         check(result, name)

@@ -38,7 +38,7 @@ def mask(
 ) -> int:
     """Draw the occlusion mask of SCENE.toml, anti-aliased; or, with --from-image, write the mask
     that a picture without one seems to have, to be touched up."""
-    from godfit.image import write_image
+    from godfit.io.image import write_image
 
     if (scene is None) == (target is None):
         got = "neither" if scene is None else "both"
@@ -56,8 +56,8 @@ def mask(
 
 
 def of_scene(scene: str, hard: bool) -> tuple[np.ndarray, tuple[str, ...]]:
-    from godfit.inputs import drawn
-    from godfit.scene import read_scene
+    from godfit.request import drawn
+    from godfit.scenes.scene import read_scene
 
     with Progress(quiet=False, verbose=False) as progress:
         progress("loading meshes")
@@ -74,7 +74,7 @@ def of_picture(
     ignore: tuple[str, ...],
     quiet: bool,
 ) -> tuple[np.ndarray, tuple[str, ...]]:
-    from godfit.image import read_image
+    from godfit.io.image import read_image
 
     image = read_image(target)
     valid = look_away(ignore, image.values.shape[:2])

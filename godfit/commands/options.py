@@ -90,7 +90,7 @@ def look_away(ignore: tuple[str, ...], size: tuple[int, int]) -> np.ndarray | No
         return None
     import numpy as np
 
-    from godfit.image import read_image
+    from godfit.io.image import read_image
 
     valid = np.ones(size, bool)
     for text in ignore:

@@ -88,9 +88,10 @@ def render(
     through the air of a SCENE.toml. Both need --e-sun and --scale. --model flatland takes a canvas:
     RGBA (colour emits, alpha hides, black and opaque throws shadows) or a .toml of shapes.
     """
-    from godfit import rendering
-    from godfit.image import read_image, write_image
-    from godfit.inputs import (
+    from godfit.commands import rendering
+    from godfit.io.image import read_image, write_image
+    from godfit.report.record import read_params
+    from godfit.request import (
         check_model,
         daylight_from,
         drawn,
@@ -99,7 +100,6 @@ def render(
         place_of,
         shrink_mask,
     )
-    from godfit.record import read_params
 
     if tolerance is not None and not 0 <= tolerance < float("inf"):
         raise click.BadParameter(
@@ -123,7 +123,7 @@ def render(
         raise click.UsageError(f"--{name.replace('_', '-')}: expected --model flatland with it")
     stage, settings = None, {}
     if mask.endswith(".toml"):
-        from godfit.scene import read_scene
+        from godfit.scenes.scene import read_scene
 
         stage = read_scene(mask)
         settings = {**stage.settings, **place_of(stage)}

@@ -48,8 +48,8 @@ def select(
     for name in ("model", "canvas", "rays"):
         study.options.pop(name, None)
     with working(quiet, verbose) as progress:
-        from godfit import select_report
-        from godfit.select import select as climb
+        from godfit.report import select as select_report
+        from godfit.studies.select import select as climb
 
         made_ready(study.options, quiet, progress, study.image.values.shape)
         found = climb(

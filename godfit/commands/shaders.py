@@ -8,7 +8,7 @@ import click
 @click.command()
 def shaders() -> int:
     """List the shader conventions with their formulas and defaults."""
-    from godfit.taps import CONVENTIONS
+    from godfit.scattering.taps import CONVENTIONS
 
     click.echo("M mask at the pixel, M_i at x - i Delta, Delta = (x - l) rho / n; B background")
     for shader in CONVENTIONS.values():

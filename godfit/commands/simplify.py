@@ -45,8 +45,8 @@ def simplify(
     at the fit's own samples; the result is printed, ready to paste into the shader.
     """
     with working(quiet, verbose) as progress:
-        from godfit import simplify as simpler
-        from godfit.record import recorded
+        from godfit.report.record import recorded
+        from godfit.studies import simplify as simpler
 
         fitted = recorded(fit_json, mask=mask, scene=scene, background=background)
         found = simpler.simplify(

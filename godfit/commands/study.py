@@ -21,7 +21,7 @@ from godfit.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from godfit.image import Image
+    from godfit.io.image import Image
 
 NOT_CONVERGED = 3
 # Options for which there are other programs.
@@ -62,8 +62,8 @@ def opened(
 ) -> Study:
     """The target with its options: those of the file beside it, and ``given`` ones in their place.
     ``alone`` it need not come with a mask or a scene."""
-    from godfit.image import read_image
-    from godfit.sidecar import read_sidecar
+    from godfit.io.image import read_image
+    from godfit.io.sidecar import read_sidecar
 
     options = read_sidecar(target) | {k: v for k, v in given.items() if v is not None}
     folder = folder_for(target, output)
@@ -88,9 +88,9 @@ def working(quiet: bool, verbose: bool) -> Iterator[Progress]:
     """Say what is going on, keep what is compiled and no memory that nobody uses."""
     with Progress(quiet, verbose) as progress:
         progress("loading JAX")
-        from godfit.allocator import keep_little
-        from godfit.cache import keep_compiled
-        from godfit.kept import keep_programs, remember
+        from godfit.runtime.cache import keep_compiled
+        from godfit.runtime.malloc import keep_little
+        from godfit.runtime.program_cache import keep_programs, remember
 
         keep_little()
         keep_compiled()
@@ -107,7 +107,7 @@ def made_ready(
     """Put the scene itself in the place of its file, and say what is assumed. ``size`` is the
     target's: for another one needs other programs."""
     if "scene" in options:
-        from godfit.scene import read_scene
+        from godfit.scenes.scene import read_scene
 
         progress("loading meshes")
         options["scene"] = read_scene(options["scene"])
@@ -122,7 +122,7 @@ def made_ready(
 
 def say_assumed(options: Mapping[str, Any]) -> None:
     """Warn of a shader or a number of samples that nobody gave."""
-    from godfit.taps import convention
+    from godfit.scattering.taps import convention
 
     said = {**options["scene"].settings, **options} if "scene" in options else options
     if "shader" not in said:
@@ -133,10 +133,10 @@ def say_assumed(options: Mapping[str, Any]) -> None:
 
 
 def _load_ahead(kernels: bool, occasion: str) -> None:
-    from godfit.kept import read_ahead
+    from godfit.runtime.program_cache import read_ahead
 
     if kernels:
-        from godfit.radial.exact import load_fastest
+        from godfit.scattering.radial.exact import load_fastest
 
         load_fastest()
     read_ahead(occasion)

@@ -8,7 +8,7 @@ ways from there to a picture, ``picture.py`` the way in to all of them.
 
 from godfit.flatland.accumulate import accumulated, effective_frames, weights
 from godfit.flatland.canvas import Canvas, canvas, read_canvas
-from godfit.flatland.picture import METHODS, render
+from godfit.flatland.rendering import METHODS, render
 from godfit.flatland.sky import Sky
 
 __all__ = [

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from godfit.errors import InputError
-from godfit.image import Image, read_layer
+from godfit.io.image import Image, read_layer
 
 # Rays pack a cell's place into 32 bits, the distance field into 15 for a side.
 LARGEST = 16384

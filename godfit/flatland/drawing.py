@@ -20,8 +20,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from godfit.flatland.canvas import Canvas
-from godfit.scene import MAX_SIZE
-from godfit.table import Table
+from godfit.io.toml_table import Table
+from godfit.scenes.scene import MAX_SIZE
 
 # Of every kind: its numbers and how many there are of each.
 KINDS: dict[str, dict[str, int]] = {

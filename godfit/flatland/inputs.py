@@ -16,10 +16,10 @@ from godfit.errors import InputError
 from godfit.flatland.canvas import Canvas, read_canvas
 from godfit.flatland.drawing import read_drawing
 from godfit.flatland.model import PARAMETERS, RAYS, Flatland, basis
-from godfit.flatland.picture import render
+from godfit.flatland.rendering import render
 from godfit.flatland.sky import ANGLE, SKY, SUN, WIDTH, Sky, check_sky
-from godfit.image import Image
-from godfit.observation import Picture
+from godfit.inference.observation import Picture
+from godfit.io.image import Image
 
 # A fit holds one number for every pixel and ray.
 MOST_RAYS = 1024

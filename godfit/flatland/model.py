@@ -20,8 +20,8 @@ from jaxtyping import Array, Float, Int
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.rays import enough, passing
 from godfit.flatland.sky import Sky
-from godfit.models import AbstractModel, Vector
-from godfit.parameters import Parameter
+from godfit.models.mitchell import AbstractModel, Vector
+from godfit.scattering.parameters import Parameter
 
 PARAMETERS = (
     Parameter("exposure", "E", "1", 0.0, math.inf, "scale of the whole picture"),

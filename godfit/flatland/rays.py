@@ -24,15 +24,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int32
 
-from godfit.distance import jump_flood
-from godfit.flatland import compiled, compiled_cascades, compiled_derivatives
+from godfit.flatland import cascade_kernel, derivative_kernel, render_kernel
 from godfit.flatland.canvas import Canvas
-from godfit.flatland.compiled_walk import FILLED, OUTSIDE
-from godfit.radial.foreign import declare, made_known
+from godfit.flatland.jump_flood import jump_flood
+from godfit.flatland.walk_kernel import FILLED, OUTSIDE
+from godfit.runtime.xla_ffi import declare, made_known
 
 NAMES = declare(
     "godfit_flatland",
-    compiled.FUNCTIONS | compiled_derivatives.FUNCTIONS | compiled_cascades.FUNCTIONS,
+    render_kernel.FUNCTIONS | derivative_kernel.FUNCTIONS | cascade_kernel.FUNCTIONS,
 )
 # Calls for one picture, which XLA shares out among its threads.
 CALLS = 16
@@ -43,7 +43,7 @@ LITTLE = {jnp.dtype("float32"): 1e-3, jnp.dtype("float64"): 1e-9}
 
 
 class Prepared(NamedTuple):
-    """See ``godfit.flatland.compiled_walk`` and ``compiled``."""
+    """See ``godfit.flatland.walk_kernel`` and ``render_kernel``."""
 
     free: Float[Array, "H W"]
     cells: Float[Array, "cells 4"]

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from godfit.flatland.compiled_walk import OUTSIDE
 from godfit.flatland.rays import LITTLE, Prepared
+from godfit.flatland.walk_kernel import OUTSIDE
 
 
 def walk(given: Prepared, rays: int, steps: int, step: float, leap: bool) -> Float[Array, "h w 3"]:

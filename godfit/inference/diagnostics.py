@@ -1,0 +1,315 @@
+"""Why a model cannot be right, read from what it leaves.
+
+Every defect that is looked for has a direction: what the residual would gain if the target had that
+defect and the model had not. Of each direction, what a step of the fitted parameters would do as
+well is taken away, and the share of the residual's power that lies along the rest is its evidence
+(a score test: Rao, Proc. Camb. Phil. Soc. 44 (1948), 50). A fit that leaves nothing but noise is
+never asked. JPEG leaves its mark in the target itself, see ``blocks.py``.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from godfit.inference.observation import LEVELS, Picture, render
+from godfit.inference.settle import Tangent
+from godfit.io.blocks import was_jpeg
+from godfit.io.filters import shrink
+from godfit.io.image import decode
+from godfit.models.mitchell import Mitchell
+from godfit.search.screening import read_rays
+
+# Pixels that are asked.
+PIXELS = 1 << 12
+# Pixels by which mask and target may be shifted against each other.
+REACH = 4
+# Share of the residual's power that a direction must explain, and that of the best one beside
+# which another is named as well.
+ENOUGH, BESIDE = 0.15, 0.6
+# What a remedy for the transfer must leave of the residual's power.
+REMEDIED = 0.7
+# Side of the copy on which a second light is looked for.
+SMALL = 32
+
+
+class Suspect(NamedTuple):
+    """A possible defect: the share of the residual it explains, its name, what to tell."""
+
+    share: float
+    name: str
+    words: str
+
+
+WORDS = {
+    "transfer": "what is left follows brightness as if the target were gamma-encoded and read as "
+    "linear; try --transfer srgb",
+    "linear": "what is left follows brightness as if the target were linear and read as sRGB; try "
+    "--transfer none",
+    "register": "what is left follows the picture's edges as if mask and target were shifted "
+    "against each other; check that both come from the same frame and size",
+    "moved": "mask and target are shifted against each other: with the mask moved {right} pixels "
+    "to the right and {down} down far more is explained; check that both come from the same frame",
+    "upsampled": "the target is smoother at edges than the mask allows: its light pass was likely "
+    "rendered at {scale} of the size; try --pass-scale {scale}",
+    "convention": "what is left looks like {what}: another shader's convention; see `godfit "
+    "shaders`",
+    "light": "what is left looks like the rays of a second light near ({u:.2f}, {v:.2f}); try "
+    "--lights 2",
+    "background": "where the background is at the top of its scale the target is brighter than "
+    "it can say: the background was clipped; --ignore those pixels",
+    "jpeg": "the target has the 8x8 blocks of a JPEG: its errors are correlated, which the quoted "
+    "ones allow for; a lossless copy would say more",
+    "unknown": "what is left of the target has structure that none of the known causes explains",
+}
+
+
+def diagnose(picture: Picture, model, pixels: np.ndarray, tangent: Tangent) -> list[Suspect]:
+    """What may be wrong, worst first; empty where nothing is found.
+
+    ``pixels`` (n,) are those of the fit, ``tangent`` the model there: levels (n c,), derivatives
+    (p, n c). For a residual that is not white; clipped values are left out.
+    """
+    target = picture.levels.reshape(-1, picture.channels)
+    drawn = np.arange(len(pixels))
+    if len(drawn) > PIXELS:
+        drawn = np.sort(np.random.default_rng(0).choice(len(drawn), PIXELS, replace=False))
+    at = pixels[drawn]
+    c = picture.channels
+    prediction = tangent.prediction.reshape(-1, c)
+    known = np.ones((len(at), c), bool)
+    if picture.half:
+        known = (target[at] > picture.half) & (target[at] < LEVELS - picture.half)
+    rows = np.flatnonzero(known.ravel())
+    if len(rows) < 4 * len(tangent.jacobian) + 16:
+        return []
+    jacobian = tangent.jacobian.reshape(len(tangent.jacobian), -1, c)[:, drawn].reshape(
+        len(tangent.jacobian), -1
+    )
+    full = np.full((picture.size[0] * picture.size[1], c), np.nan, np.float32)
+    full[pixels] = prediction
+    if np.isnan(full).any():
+        full = picture.rendered(model).reshape(-1, c)
+    full = full.reshape(*picture.size, c).astype(np.float64)
+    residual = (target[at] - prediction[drawn]).ravel()[rows].astype(np.float64)
+    span = Span(jacobian[:, rows], residual)
+
+    w = picture.size[1]
+
+    def values(image: np.ndarray) -> np.ndarray:
+        image = np.atleast_3d(image)
+        return np.broadcast_to(image[at // w, at % w], (len(at), c)).ravel()[rows]
+
+    suspects = [
+        _register(picture, full, values, span),
+        *_upsampled(picture, full, values, span),
+        *_conventions(picture, model, full, values, span),
+        *_transfer(picture, target[at].ravel()[rows], values(full), jacobian[:, rows], residual),
+        *_background(picture, values, span),
+    ]
+    if isinstance(model, Mitchell) and not model.convention.box:
+        suspects += _second_light(picture, model, full, pixels, tangent)
+    suspects.sort(key=lambda s: -s.share)
+    return suspects
+
+
+def named(suspects: list[Suspect]) -> list[Suspect]:
+    """Those worth naming: the one that explains most, and what explains nearly as much."""
+    if not suspects or suspects[0].share < ENOUGH:
+        return []
+    return [s for s in suspects if s.share >= max(ENOUGH, BESIDE * suspects[0].share)]
+
+
+class Span:
+    """What steps of the parameters explain (rows of ``jacobian``, (p, m)), taken away from
+    ``residual`` (m,)."""
+
+    def __init__(self, jacobian: np.ndarray, residual: np.ndarray):
+        self.basis = _orthonormal(np.asarray(jacobian, np.float64).T)
+        self.residual = self.beyond(residual)
+        self.power = float(residual @ residual)
+
+    def beyond(self, values: np.ndarray) -> np.ndarray:
+        return values - self.basis @ (self.basis.T @ values)
+
+    def share(self, columns: list[np.ndarray]) -> float:
+        """Share of the residual's power that ``columns`` explain beyond the parameters."""
+        raw = np.stack(columns, -1).astype(np.float64)
+        rest = self.beyond(raw)
+        # What parameters do as well to a thousandth is not told from them.
+        raw_power = (raw**2).sum(0)
+        rest = rest[:, (rest**2).sum(0) > 1e-6 * np.maximum(raw_power, 1e-12)]
+        if not rest.shape[1] or self.power == 0:
+            return 0.0
+        return float(((_orthonormal(rest).T @ self.residual) ** 2).sum() / self.power)
+
+    def step(self, column: np.ndarray) -> float:
+        """How much of ``column`` (m,) the residual asks for."""
+        rest = self.beyond(column.astype(np.float64))
+        return float(rest @ self.residual / max(float(rest @ rest), 1e-30))
+
+
+def _orthonormal(columns: np.ndarray) -> np.ndarray:
+    """(m, q) basis of the columns' span."""
+    size = np.sqrt((columns**2).sum(0))
+    columns = columns[:, size > 0] / size[size > 0]
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    keep = values > 1e-10 * max(values.max(initial=0), 1e-30)
+    return columns @ (vectors[:, keep] / np.sqrt(values[keep]))
+
+
+def _register(picture, full, values, span):
+    """Picture and mask moved by whole pixels, and the shift that explains most."""
+    mask = np.broadcast_to(np.atleast_3d(picture.mask), (*picture.mask.shape[:2], full.shape[2]))
+    best = 0.0
+    for down in range(-REACH, REACH + 1):
+        for right in range(-REACH, REACH + 1):
+            if down == right == 0:
+                continue
+            columns = [values(np.roll(full, (down, right), (0, 1)) - full)]
+            if mask.shape == full.shape:
+                columns.append(values(np.roll(mask, (down, right), (0, 1)) - mask))
+            best = max(best, span.share(columns))
+    return Suspect(best, "register", WORDS["register"])
+
+
+def _upsampled(picture, full, values, span):
+    """The light pass rendered small and read bilinearly, where the model has it at full size."""
+    h, w = picture.size
+    if picture.mask.shape[:2] != (h, w):
+        return
+    for factor in (2, 4):
+        if min(h, w) < 2 * factor:
+            continue
+        small = shrink(full, (h // factor, w // factor))
+        large = ndimage.zoom(small, (h / small.shape[0], w / small.shape[1], 1), order=1,
+                             mode="nearest", grid_mode=True)  # fmt: skip
+        column = values(large - full)
+        # The whole of it is asked for, not a little of its direction.
+        if 0.4 < span.step(column) < 2.5:
+            words = WORDS["upsampled"].format(scale=1 / factor)
+            yield Suspect(span.share([column]), "upsampled", words)
+
+
+def _conventions(picture, model, full, values, span):
+    """Tap at the pixel itself, gain or blend of the background, Sousa's passes."""
+    if not isinstance(model, Mitchell):
+        return
+    whole = picture.mask.shape[:2] == picture.size
+    if not model.convention.own_pixel and whole and not model.convention.box:
+        words = WORDS["convention"].format(what="the mask itself, a tap at each pixel")
+        yield Suspect(span.share([values(picture.mask)]), "convention", words)
+    if picture.background is not None:
+        back = picture.background
+        ray = full / LEVELS - model.convention.background_gain * back
+        words = WORDS["convention"].format(what="the background with another gain or blend")
+        share = span.share([values(back), values(back * ray)])
+        yield Suspect(share, "convention", words)
+    if not whole:
+        return
+    place = np.asarray(model.light)
+    others = []
+    if model.convention.box:
+        for decay in (1.0, 0.98, 0.95):
+            others.append(Mitchell(0.01, decay, 0.9, 1.0, place, "mitchell", 60))
+        what = "Mitchell's sum along whole rays"
+    else:
+        others.append(Mitchell(0.5 / len(place), 1.0, 1.0, 1.0, place, "three"))
+        what = "Sousa's short box passes"
+    images = [values(render(o, picture.mask, None, picture.size)) for o in others]
+    yield Suspect(span.share(images), "convention", WORDS["convention"].format(what=what))
+
+
+def _transfer(picture, target, prediction, jacobian, residual):
+    """The target decoded: does the span of picture and derivatives hold it better than the target
+    as it is? A share of one less what is left in proportion."""
+    coded = picture.transfer != "none"
+    if coded:
+        read = decode(target / LEVELS, "srgb")
+        slope = np.gradient(decode(np.linspace(0, 1, 256), "srgb"), 1 / 255)
+        chain = np.interp(prediction, np.arange(256), slope)
+        here = [jacobian * chain[None], decode(np.clip(prediction, 0, LEVELS) / LEVELS, "srgb")]
+        other, name = target / LEVELS, "linear"
+    else:
+        here = [jacobian, prediction]
+        read, other, name = target, decode(target / LEVELS, "srgb"), "transfer"
+    basis = _orthonormal(np.vstack([here[0], np.asarray(here[1])[None]]).T.astype(np.float64))
+
+    def left(y: np.ndarray) -> float:
+        y = np.asarray(y, np.float64)
+        rest = y - basis @ (basis.T @ y)
+        return float(rest @ rest) / max(float(((y - y.mean()) ** 2).sum()), 1e-30)
+
+    # Against the variance, which decoding changes too.
+    ratio = left(other) / max(left(read), 1e-30)
+    if ratio < REMEDIED:
+        yield Suspect(1 - ratio, name, WORDS[name])
+
+
+def _background(picture, values, span):
+    if picture.background is None:
+        return
+    top = (picture.background >= 254.5 / 255).astype(np.float32)
+    column = values(top)
+    if 0.002 < column.mean() < 0.9 and span.step(column) > 1:
+        yield Suspect(span.share([column]), "background", WORDS["background"])
+
+
+def _second_light(picture, model, full, pixels, tangent):
+    """Rays of the same shape about each place of a lattice, on a small copy."""
+    h, w, c = full.shape
+    side = min(SMALL, h, w)
+
+    def small(flat: np.ndarray) -> np.ndarray:
+        image = np.zeros(h * w, np.float64)
+        image[pixels] = flat
+        return shrink(image.reshape(h, w), (side, side)).ravel()
+
+    def channelled(flat: np.ndarray) -> np.ndarray:
+        return flat.reshape(-1, c).mean(1)
+
+    residual = picture.levels.reshape(-1, c)[pixels].mean(1) - channelled(tangent.prediction)
+    if picture.half:
+        residual = np.where(picture.clipped.ravel()[pixels], 0, residual)
+    coarse = small(residual)
+    span = Span(np.stack([small(channelled(row)) for row in tangent.jacobian]), coarse)
+    # Of the whole residual's power, as the other directions have it.
+    power = float(residual @ residual) / max(len(pixels), 1) * side * side
+    if span.power == 0 or power == 0:
+        return
+    lattice = (np.arange(14) - 2.5) / 9
+    lights = np.stack(np.meshgrid(lattice, lattice), -1).reshape(-1, 2)
+    mask = picture.mask if picture.mask.ndim == 2 else picture.mask.mean(-1)
+    mask = shrink(mask, (2 * side, 2 * side)).astype(np.float32)
+    y, x = np.divmod(np.arange(side * side), side)
+    points = np.stack([x, y], -1).astype(np.float32)
+    if mask.shape != (2 * side, 2 * side):
+        return
+    rays = np.asarray(read_rays(mask, lights.astype(np.float32), points), np.float64)
+    # STEPS equal steps to the light; the rays end at density.
+    steps = rays.shape[1]
+    t = (np.arange(steps) + 0.5) / steps
+    kappa = -model.samples * np.log(max(float(model.decay), 1e-6)) / max(float(model.density), 1e-3)
+    best = Suspect(0.0, "light", "")
+    for k in (0.0, kappa, 2 * kappa + 1):
+        weights = np.exp(-min(k, 40.0) * t) * (t <= max(float(model.density), 0.3))
+        images = np.einsum("s,lsp->lp", weights, rays)
+        rest = images - (images @ span.basis) @ span.basis.T
+        size = (rest**2).sum(1)
+        fits = rest @ span.residual
+        good = (fits > 0) & (size > 1e-4 * (images**2).sum(1))
+        share = np.where(good, fits**2 / np.maximum(size, 1e-30), 0) / max(power, 1e-30)
+        i = int(np.argmax(share))
+        if share[i] > best.share:
+            words = WORDS["light"].format(u=lights[i, 0], v=lights[i, 1])
+            best = Suspect(float(min(share[i], 1.0)), "light", words)
+    yield best
+
+
+def jpeg(picture: Picture) -> Suspect | None:
+    """The sentence, where the target shows the blocks."""
+    if picture.half == 0 or not was_jpeg(picture.levels[..., 0]):
+        return None
+    return Suspect(1.0, "jpeg", WORDS["jpeg"])

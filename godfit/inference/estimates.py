@@ -1,0 +1,132 @@
+"""From coordinates and their covariance to parameters with errors, and what is open in words."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from godfit.models.mitchell import AbstractModel, Vector
+from godfit.report.result import Estimate
+from godfit.runtime.program_cache import kept
+
+
+class Told(NamedTuple):
+    """The ``model`` at its parameters, these with their errors, their product
+    (``combined``), ``covariance`` (p, p) of the parameters (NaN where not known), what is
+    ``undetermined`` in words, and ``held`` (p,), NaN where free."""
+
+    model: AbstractModel
+    params: dict[str, Estimate]
+    combined: dict[str, Estimate]
+    covariance: np.ndarray
+    undetermined: tuple[str, ...]
+    held: np.ndarray
+
+
+def estimates(
+    model: AbstractModel,
+    coordinates: np.ndarray,
+    spread: np.ndarray,
+    free: np.ndarray,
+    held: np.ndarray,
+    open_: list[tuple[int, list[int]]],
+    used: np.ndarray,
+) -> Told:
+    """Parameters from ``coordinates`` (p,) whose covariance is ``spread`` (p, p); the rest as in
+    ``Found``. ``used`` (p,) are those to be told of."""
+    names = list(model.parameters)
+    opened = [i for i, _ in open_]
+    z = np.where(np.isnan(held), coordinates, held)
+    z = np.where(np.isin(np.arange(len(names)), opened), z, coordinates)
+    # An open parameter is held only for want of better: what it would move is not known either.
+    loose = np.where(np.isin(np.arange(len(names)), opened), np.nan, held).astype(np.float32)
+    fitted, values, by_coordinate = _parameters(model, z.astype(np.float32), loose)
+    values, by_coordinate = np.asarray(values), np.asarray(by_coordinate, np.float64)
+    covariance = by_coordinate @ spread @ by_coordinate.T
+    combined = _combined(model.product, names, opened, values, covariance)
+    # A parameter that an open coordinate would change is not known, however well the rest is.
+    follows = np.count_nonzero(by_coordinate[:, opened], axis=1) > 0
+    unknown = follows | np.isin(np.arange(len(names)), opened) | (np.diag(covariance) <= 0)
+    stderr = np.sqrt(np.where(unknown, np.nan, np.diag(covariance)))
+    covariance[unknown] = covariance[:, unknown] = np.nan
+    lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
+    # Within its error of a bound, a value is as good as on it.
+    error = np.sqrt(np.diag(spread))
+    at_bound = (coordinates - lower <= error) | (upper - coordinates <= error)
+    params = {
+        name: Estimate(
+            float(values[i]),
+            None if unknown[i] else float(stderr[i]),
+            fixed=bool(not np.isnan(held[i]) and i not in opened),
+            at_bound=bool(free[i] and at_bound[i] and not follows[i]),
+        )
+        for i, name in enumerate(names)
+        if used[i]
+    }
+    undetermined = _sentences(open_, names, values, combined)
+    return Told(fitted, params, combined, covariance, undetermined, held_at(held, opened, values))
+
+
+def held_at(held: np.ndarray, opened: list[int], values: np.ndarray) -> np.ndarray:
+    """(p,) where parameters are held, those that are open where they were left; NaN if free."""
+    return np.where(np.isin(np.arange(len(held)), opened), values, held).astype(np.float32)
+
+
+@kept
+def _parameters(model: AbstractModel, coordinates: Vector, held: Vector):
+    """The model at ``coordinates``, its parameters (p,), their derivatives (p, p) by coordinate."""
+
+    def values(z):
+        return jnp.stack(list(model.moved(z, held).values().values()))
+
+    return model.moved(coordinates, held), values(coordinates), jax.jacfwd(values)(coordinates)
+
+
+def _combined(
+    product: tuple[str, str],
+    names: list[str],
+    opened: list[int],
+    values: np.ndarray,
+    covariance: np.ndarray,
+) -> dict[str, Estimate]:
+    """The product, by name: it is known where one factor is open, too, from what the other is where
+    that one is held."""
+    if not set(product) <= set(names):
+        return {}
+    pair = [names.index(name) for name in product]
+    slope = values[pair[::-1]]
+    variance = float(slope @ covariance[np.ix_(pair, pair)] @ slope)
+    known = variance > 0 and pair[1] not in opened
+    stderr = float(np.sqrt(variance)) if known else None
+    return {"*".join(product): Estimate(float(np.prod(values[pair])), stderr)}
+
+
+def _sentences(
+    open_: list[tuple[int, list[int]]],
+    names: list[str],
+    values: np.ndarray,
+    combined: dict[str, Estimate],
+) -> tuple[str, ...]:
+    """What is left open, in words."""
+    opened = [index for index, _ in open_]
+    said, alone = [], []
+    for index, partners in open_:
+        rest = [names[i] for i in partners if i not in opened]
+        both = [(n, e) for n, e in combined.items() if n.startswith(f"{names[index]}*")]
+        if both and both[0][1].stderr is not None:
+            name, e = both[0]
+            said.append(f"only {name} is determined ({e.value:.6g} +- {e.stderr:.2g})")
+        elif rest:
+            together = " and ".join([names[index], *rest])
+            said.append(f"only a combination of {together} is determined")
+        else:
+            alone.append(index)
+            continue
+        said[-1] += f"; {names[index]} was held at {values[index]:.6g}"
+    if alone:
+        held = ", ".join(f"{names[i]} (held at {values[i]:.6g})" for i in alone)
+        said.append(f"not determined by this picture: {held}")
+    return tuple(said)

@@ -1,0 +1,192 @@
+"""What the fitted point is worth: covariance, undetermined combinations, structure that is left."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from godfit.inference.likelihood import interval
+from godfit.inference.observation import Observation
+from godfit.inference.settle import Settled, Tangent
+from godfit.runtime.parallel import side_by_side
+from godfit.runtime.program_cache import kept
+
+# Beyond these, noise is no explanation of what is left.
+MAX_TAILS = 3.5
+MAX_CORRELATION = 0.3
+# Values that are worked on together, so that memory does not grow with the picture.
+BLOCK = 1 << 17
+
+
+class Evidence(NamedTuple):
+    """The likelihood about the fitted point.
+
+    By coordinate: ``curvature`` (p, p) is the sum of -d2 log-likelihood, ``scores`` (p, p) that of
+    the outer products of its slopes, ``gradient`` (p,) that of the slopes; ``blunt`` is the
+    curvature with the rounding counted as noise, which is what least squares would know.
+    ``prediction`` (m,) is in levels, ``score`` (m,) the slope of each value's log-likelihood in
+    units of sigma.
+    """
+
+    curvature: np.ndarray
+    scores: np.ndarray
+    blunt: np.ndarray
+    gradient: np.ndarray
+    prediction: np.ndarray
+    score: np.ndarray
+
+    def within(self, ranges: np.ndarray) -> Evidence:
+        """The evidence with what is known beforehand: coordinates lie within plausible ``ranges``
+        (p,). Some can trade until nothing but this limits them."""
+        known = np.diag(1 / ranges**2)
+        return self._replace(
+            curvature=self.curvature + known, scores=self.scores + known, blunt=self.blunt + known
+        )
+
+    def thinned(self, repeats: float) -> Evidence:
+        """The evidence of a picture that says everything ``repeats`` times over, as least squares
+        counts it: the roundings of so few different pixels are no sample of anything, and walls
+        of intervals that they happen to touch promise far too much."""
+        if repeats <= 1:
+            return self
+        blunt = self.blunt / repeats
+        return self._replace(curvature=blunt, scores=blunt, blunt=blunt)
+
+    def covariance(self, free: np.ndarray) -> np.ndarray:
+        """(p, p) covariance of the coordinates, zero for those that are not free.
+
+        The inverse of the information: curvature or scores, in every direction the lesser. With
+        noise the two agree. Where rounding is all the noise there is, the problem is not
+        regular: the curvature alone covers too seldom, the scores cover often enough. There the
+        likelihood may also be flat at its very top, all values inside their intervals; the
+        information is never taken to be less than what least squares has.
+        """
+        covariance = np.zeros_like(self.curvature)
+        curvature, scores, blunt = (
+            m[np.ix_(free, free)] for m in (self.curvature, self.scores, self.blunt)
+        )
+        # Scaled to a unit diagonal first: the coordinates' units differ by orders of magnitude.
+        size = np.sqrt(np.maximum(np.diag(blunt), 1e-30))
+        values, vectors = np.linalg.eigh(blunt / np.outer(size, size))
+        known = values > 1e-9 * max(values.max(initial=0), 1e-30)
+        root = vectors[:, known] / np.sqrt(values[known])
+
+        def against_blunt(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            gain, turn = np.linalg.eigh(root.T @ (information / np.outer(size, size)) @ root)
+            return np.maximum(gain, 1.0), turn
+
+        gain, turn = against_blunt(curvature)
+        other, other_turn = against_blunt(scores)
+        whiten = turn / np.sqrt(gain)
+        share, last = np.linalg.eigh(whiten.T @ (other_turn * other) @ other_turn.T @ whiten)
+        root = root @ whiten @ last / np.sqrt(np.minimum(share, 1.0))
+        covariance[np.ix_(free, free)] = root @ root.T / np.outer(size, size)
+        return covariance
+
+
+@kept
+def _evidence(prediction, jacobian, lo, hi, sigma, blunt_sigma, foreign):
+    def pixels(sigma):
+        return interval((lo - prediction) / sigma, (hi - prediction) / sigma, foreign)
+
+    def curvature(pixel, sigma):
+        return (jacobian * (pixel.curvature / sigma**2)[None]) @ jacobian.T
+
+    sharp = pixels(sigma)
+    slopes = jacobian * (sharp.slope / sigma)[None]
+    blunt = curvature(pixels(blunt_sigma), blunt_sigma)
+    return curvature(sharp, sigma), slopes @ slopes.T, blunt, slopes.sum(1), sharp.slope
+
+
+def evidence(settled: Settled, tangent: Tangent, seen: Observation) -> Evidence:
+    """The evidence at a settled point."""
+    lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
+    width = hi - lo
+    sigma = settled.sigma
+    blunt_sigma = np.hypot(sigma, width[np.isfinite(width)].max(initial=0) / math.sqrt(12))
+
+    def of(rows: slice) -> list[np.ndarray]:
+        values = tangent.prediction[rows], tangent.jacobian[:, rows], lo[rows], hi[rows]
+        found = _evidence(*values, np.float32(sigma), np.float32(blunt_sigma), seen.foreign)
+        return [np.asarray(z) for z in found]
+
+    parts = side_by_side(of, [slice(b, b + BLOCK) for b in range(0, len(lo), BLOCK)])
+    curvature, scores, blunt, gradient = (
+        np.sum([part[i] for part in parts], 0, np.float64) for i in range(4)
+    )
+    # Summed in scaled coordinates, where float32 holds all entries alike.
+    size = np.outer(tangent.scale, tangent.scale).astype(np.float64)
+    return Evidence(
+        curvature / size,
+        scores / size,
+        blunt / size,
+        gradient / tangent.scale,
+        tangent.prediction,
+        np.concatenate([part[4] for part in parts]),
+    )
+
+
+def undetermined(
+    information: np.ndarray, ranges: np.ndarray, free: np.ndarray, keep: int
+) -> list[tuple[int, list[int]]]:
+    """Coordinates to hold because the picture leaves them open, each with those it trades with.
+
+    A direction is open if moving along it over the coordinates' plausible ``ranges`` changes the
+    log-likelihood by less than 1/2. The coordinate that has most of it is held, ``keep`` (the one
+    to be left when only one number is known) last, and the rest looked at again.
+    """
+    open_: list[tuple[int, list[int]]] = []
+    left = [int(i) for i in np.flatnonzero(free)]
+    while left:
+        block = information[np.ix_(left, left)] * np.outer(ranges[left], ranges[left])
+        values, vectors = np.linalg.eigh(block)
+        if values[0] >= 1:
+            break
+        direction = np.abs(vectors[:, 0])
+        most = int(np.argmax(np.where(np.array(left) == keep, 0.3, 1.0) * direction))
+        partners = [left[int(i)] for i in np.flatnonzero(direction > 0.3) if i != most]
+        open_.append((left[most], partners))
+        del left[most]
+    return open_
+
+
+class Misfit(NamedTuple):
+    """How unlike noise the residual is: ``tails``, the fourth moment over the squared second (3 for
+    Gaussian noise), and ``correlation`` of horizontal neighbours (0)."""
+
+    tails: float
+    correlation: float
+
+    @property
+    def like_noise(self) -> bool:
+        return self.tails < MAX_TAILS and self.correlation < MAX_CORRELATION
+
+
+def misfit(prediction: np.ndarray, seen: Observation) -> Misfit:
+    """``Misfit`` of the values that are not clipped."""
+    lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
+    inside = np.isfinite(lo) & np.isfinite(hi)
+    residual = (np.where(inside, lo, 0) + np.where(inside, hi, 0)) / 2
+    residual = np.where(inside, np.asarray(prediction) - residual, 0.0)
+    if seen.foreign:
+        # Of those that are foreign nobody says that they are noise.
+        spread = 1.4826 * float(np.median(np.abs(residual[inside]))) if inside.any() else 0.0
+        inside &= np.abs(residual) < 5 * max(spread, 0.3)
+        residual = np.where(inside, residual, 0.0)
+    count = max(int(np.count_nonzero(inside)), 1)
+    square = np.square(residual)
+    power = float(square.sum(dtype=np.float64)) / count
+    if power == 0:
+        return Misfit(0.0, 0.0)
+    tails = float(np.square(square).sum(dtype=np.float64)) / count / power**2
+    rows = residual.reshape(-1, seen.channels)
+    known = inside.reshape(-1, seen.channels)
+    pixels = np.asarray(seen.pixels)
+    beside = (np.diff(pixels) == 1) & (pixels[1:] % seen.size[1] != 0)
+    both = known[:-1] & known[1:] & beside[:, None]
+    pairs = max(int(np.count_nonzero(both)), 1)
+    products = np.where(both, rows[:-1] * rows[1:], 0)
+    correlation = float(products.sum(dtype=np.float64)) / pairs / power
+    return Misfit(tails, correlation)

@@ -1,0 +1,334 @@
+"""What the images say, in the form that fit works on: numbers at chosen pixels, in 8-bit levels."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from scipy import ndimage
+
+from godfit.io.filters import blurred, blurred_at, over_channels, shrink
+from godfit.io.image import Image, encode
+from godfit.models.mitchell import AbstractModel
+from godfit.runtime.device import on_device
+from godfit.runtime.program_cache import kept
+from godfit.scattering.upsample import Texels
+
+LEVELS = 255.0
+# Larger pictures are searched at this size: coordinates do not depend on it.
+SEARCH_SIZE = 1024
+# How much they vary is seen at this one.
+SLOPES_SIZE = 256
+# What only a picture's levels have a say in.
+CLIPPED = ("above", "clipped", "readable")
+# Times that pixels are drawn where it does, before any will do.
+DRAWS = 4
+
+
+class Observation(eqx.Module):
+    """Intervals [lo, hi) in levels for ``pixels`` (row-major indices) of a ``size`` image, channel
+    by channel, and what a model needs to predict them."""
+
+    mask: Float[Array, "h w"] | Float[Array, "h w c"]
+    background: Float[Array, "..."] | None
+    pixels: Int[Array, " n"]
+    lo: Float[Array, " m"]
+    hi: Float[Array, " m"]
+    size: tuple[int, int] = eqx.field(static=True)
+    channels: int = eqx.field(static=True)
+    transfer: str = eqx.field(static=True)
+    # Whether the pixels are all there are, in their order: then no index is needed.
+    whole: bool = eqx.field(static=True)
+    # Share of pixels that may be of any level, see ``likelihood.py``.
+    foreign: float = eqx.field(static=True, default=0.0)
+    # What the pixels read of a light pass that is smaller than the picture, if they are few.
+    texels: Texels | None = None
+
+    def predict(self, model: AbstractModel) -> Float[Array, " m"]:
+        """Levels of the model's image before rounding, (pixels x channels,)."""
+        some = None if self.whole else self.pixels
+        # Models that know of no smaller light pass are not asked for its texels.
+        few = {} if self.texels is None else {"texels": self.texels}
+        image = model(self.mask, self.background, size=self.size, pixels=some, **few)
+        image = image.reshape(self.pixels.shape[0], -1)
+        image = jnp.broadcast_to(image, (self.pixels.shape[0], self.channels))
+        return LEVELS * encode(image, self.transfer).reshape(-1)
+
+    def only(self, rows: np.ndarray) -> Observation:
+        """Of the pixels, those in ``rows``."""
+        pixels = np.asarray(self.pixels)[rows]
+        lo, hi = (np.asarray(z).reshape(-1, self.channels)[rows] for z in (self.lo, self.hi))
+        return dataclasses.replace(
+            self,
+            pixels=on_device(pixels),
+            lo=on_device(lo.reshape(-1)),
+            hi=on_device(hi.reshape(-1)),
+            whole=False,
+            texels=_texels(pixels, self.size, np.asarray(self.mask)),
+        )
+
+    def with_mask(self, mask: np.ndarray) -> Observation:
+        """The same pixels of the same picture under another mask, of any size."""
+        texels = _texels(np.asarray(self.pixels), self.size, mask)
+        return dataclasses.replace(self, mask=on_device(mask), texels=texels)
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """Target, mask and background, reduced to the channels that differ.
+
+    ``levels`` (h, w, c) is the target in 8-bit levels of its own encoding, ``half`` half the
+    distance between two of its levels (0 for floats), ``valid`` (h, w) is False where the user said
+    to look away. ``mask`` (h', w') or (h', w', c) and ``background`` (h, w, c) or None are linear.
+    ``foreign`` is the share of pixels that may be of any level.
+    """
+
+    levels: np.ndarray
+    half: float
+    valid: np.ndarray
+    mask: np.ndarray
+    background: np.ndarray | None
+    transfer: str
+    foreign: float = 0.0
+
+    @staticmethod
+    def make(
+        target: Image,
+        mask: np.ndarray,
+        background: np.ndarray | None,
+        valid: np.ndarray | None,
+        channels: int = 1,
+    ) -> Picture:
+        """Channels that agree in target, mask and background are kept once, but for a model that
+        has ``channels`` of its own."""
+        encoded, grey_target = _grey(target.encoded)
+        mask, grey_mask = _grey(mask)
+        if background is not None:
+            background, grey_background = _grey(background)
+            grey_target &= grey_background
+        channels = channels if grey_mask and grey_target else 3
+        size = target.values.shape[:2]
+        levels = np.broadcast_to(np.atleast_3d(encoded), (*size, channels)) * np.float32(LEVELS)
+        if background is not None:
+            background = np.broadcast_to(np.atleast_3d(background), levels.shape)
+        if valid is None:
+            valid = np.ones(levels.shape[:2], bool)
+        half = 0.0 if target.quantum is None else target.quantum * LEVELS / 2
+        return Picture(levels, half, valid, mask, background, target.transfer)
+
+    @functools.cached_property
+    def small(self) -> Picture:
+        """The picture averaged down to at most SEARCH_SIZE pixels a side, itself if it is."""
+        return self.shrunk(-(-max(self.size) // SEARCH_SIZE))
+
+    def shrunk(self, factor: int) -> Picture:
+        """The picture averaged over cells of ``factor`` x ``factor`` pixels."""
+        if factor == 1:
+            return self
+
+        def smaller(image: np.ndarray) -> np.ndarray:
+            h, w = (max(1, n // factor) for n in image.shape[:2])
+            return shrink(image, (h, w))
+
+        # A cell a channel of which is clipped in part has a mean that says nothing.
+        clipped = smaller(self.above.astype(np.float32))
+        whole = over_channels(np.logical_and, (clipped == 0) | (clipped == 1))
+        valid = (smaller(self.valid.astype(np.float32)) == 1) & whole
+        return dataclasses.replace(
+            self,
+            levels=smaller(self.levels),
+            valid=valid if valid.any() else np.ones_like(valid),
+            mask=smaller(self.mask),
+            background=None if self.background is None else smaller(self.background),
+        )
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.levels.shape[0], self.levels.shape[1]
+
+    @property
+    def channels(self) -> int:
+        return self.levels.shape[-1]
+
+    def with_mask(self, mask: np.ndarray) -> Picture:
+        """The same picture under another mask, of any size."""
+        other = dataclasses.replace(self, mask=mask)
+        # What the levels are alone in saying is asked of them once.
+        vars(other).update({name: getattr(self, name) for name in CLIPPED})
+        return other
+
+    def intervals(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(n, c) bounds of the values behind ``pixels``; one-sided at the ends of the scale."""
+        t = self.levels.reshape(-1, self.channels)[pixels]
+        if self.half == 0:
+            return t, t
+        lo = np.where(t < self.half, -np.inf, t - self.half)
+        hi = np.where(t > LEVELS - self.half, np.inf, t + self.half)
+        return lo.astype(np.float32), hi.astype(np.float32)
+
+    @functools.cached_property
+    def above(self) -> np.ndarray:
+        """(h, w, c): values at the top of the scale."""
+        return (self.levels >= LEVELS - self.half) & np.bool_(self.half > 0)
+
+    @functools.cached_property
+    def clipped(self) -> np.ndarray:
+        """(h, w): pixels at the top of the scale in some channel."""
+        return over_channels(np.logical_or, self.above)
+
+    @functools.cached_property
+    def glare(self) -> np.ndarray:
+        """(h, w): pixels at the top of the scale in every channel."""
+        return over_channels(np.logical_and, self.above)
+
+    @functools.cached_property
+    def readable(self) -> np.ndarray:
+        """(h, w): valid pixels that are not at the top of the scale in every channel."""
+        return self.valid & ~self.glare
+
+    @functools.cached_property
+    def repeats(self) -> float:
+        """How many times over the picture says the same: lines of pixels that are exactly as the
+        line before them, in target, mask and background, say nothing new. 1 for most pictures."""
+        images = [self.levels, self.mask, *([] if self.background is None else [self.background])]
+        most = 1.0
+        for axis in (0, 1):
+            fresh = 1
+            for image in images:
+                lines = np.moveaxis(image, axis, 0)
+                others = tuple(range(1, image.ndim))
+                changed = np.count_nonzero((lines[1:] != lines[:-1]).any(others))
+                fresh = max(fresh, changed + 1)
+            most = max(most, self.size[axis] / fresh)
+        # A few equal lines at an edge are ordinary, and counted as they are.
+        return most if most >= 4 else 1.0
+
+    def observe(self, pixels: np.ndarray, blur: float = 0.0) -> Observation:
+        """The picture at ``pixels``; with ``blur`` (pixels, the standard deviation of a Gaussian),
+        of target and mask both blurred, where clipped neighbours say nothing."""
+        mask, background = self.mask, self.background
+        if blur == 0:
+            lo, hi = self.intervals(pixels)
+        else:
+            smooth = blurred_at(self.levels, blur, pixels)
+            lo, hi = smooth - max(self.half, 0.5), smooth + max(self.half, 0.5)
+            if self.clipped.any():
+                near = self._share_clipped(pixels, round(2 * blur))[:, None] > 0.01
+                lo, hi = np.where(near, -np.inf, lo), np.where(near, np.inf, hi)
+            lo, hi = lo.astype(np.float32), hi.astype(np.float32)
+            mask = blurred(mask, blur * mask.shape[0] / self.size[0])
+            background = None if background is None else blurred(background, blur)
+        return Observation(
+            on_device(mask),
+            None if background is None else on_device(background),
+            on_device(pixels, np.int32),
+            on_device(lo.reshape(-1)),
+            on_device(hi.reshape(-1)),
+            self.size,
+            self.channels,
+            self.transfer,
+            bool(np.array_equal(pixels, np.arange(self.size[0] * self.size[1]))),
+            self.foreign,
+            _texels(pixels, self.size, mask),
+        )
+
+    def _share_clipped(self, pixels: np.ndarray, reach: int) -> np.ndarray:
+        """(n,) share of clipped pixels among those within ``reach`` of ``pixels``."""
+        h, w = self.size
+        row, column = pixels // w, pixels % w
+        top, bottom = np.maximum(row - reach, 0), np.minimum(row + reach + 1, h)
+        left, right = np.maximum(column - reach, 0), np.minimum(column + reach + 1, w)
+        table = self._clipped_table
+        count = table[bottom, right] - table[top, right] - table[bottom, left] + table[top, left]
+        return count / ((bottom - top) * (right - left))
+
+    @functools.cached_property
+    def _clipped_table(self) -> np.ndarray:
+        """(h + 1, w + 1) clipped pixels above and to the left."""
+        counts = self.clipped.cumsum(0, dtype=np.int32).cumsum(1, dtype=np.int32)
+        return np.pad(counts, ((1, 0), (1, 0)))
+
+    def rendered(self, model: AbstractModel) -> np.ndarray:
+        """(h, w, c) levels of the model's whole image, clamped to the scale, not rounded."""
+        image = np.atleast_3d(render(model, self.mask, self.background, self.size))
+        levels = LEVELS * np.asarray(encode(image, self.transfer))
+        return np.broadcast_to(levels, self.levels.shape).astype(np.float32)
+
+    def informative(self, count: int, seed: int) -> np.ndarray:
+        """Sorted indices of ``count`` valid pixels: half at random, half where the target varies,
+        since flat areas say the same thing over and over."""
+        if (count, seed) not in self._chosen:
+            self._chosen[count, seed] = self._informative(count, seed)
+        return self._chosen[count, seed]
+
+    @functools.cached_property
+    def _chosen(self) -> dict[tuple[int, int], np.ndarray]:
+        return {}
+
+    def _informative(self, count: int, seed: int) -> np.ndarray:
+        candidates = np.flatnonzero(self.valid)
+        if len(candidates) <= count:
+            return candidates
+        rng = np.random.default_rng(seed)
+        chosen = candidates[rng.choice(len(candidates), count // 2, replace=False, shuffle=False)]
+        (h, w), (rows, columns) = self.size, self._slopes.shape
+        below = np.cumsum(self._slopes, dtype=np.float64)
+        for _ in range(DRAWS if below[-1] > 0 else 0):
+            # A cell where the target varies, a pixel in it; what was there before is passed over.
+            some = rng.random((3, 2 * count))
+            cell = np.searchsorted(below, below[-1] * some[0], side="right")
+            row = ((cell // columns + some[1]) * h / rows).astype(int)
+            pixel = row * w + ((cell % columns + some[2]) * w / columns).astype(int)
+            pixel = pixel[self.valid.reshape(-1)[pixel]]
+            found, first = np.unique(np.concatenate([chosen, pixel]), return_index=True)
+            chosen = found[np.argsort(first)][:count]
+            if len(chosen) == count:
+                return np.sort(chosen)
+        rest = np.setdiff1d(candidates, chosen, assume_unique=True)
+        more = rng.choice(len(rest), count - len(chosen), replace=False, shuffle=False)
+        return np.sort(np.concatenate([chosen, rest[more]]))
+
+    @functools.cached_property
+    def _slopes(self) -> np.ndarray:
+        """How much the target varies, 0 where all of it is clipped, on a copy of SLOPES_SIZE at
+        most."""
+        # Differences over a few pixels see slopes that single levels hide.
+        small = self.shrunk(-(-max(self.size) // SLOPES_SIZE))
+        if min(small.size) < 2:
+            return np.zeros(small.size, np.float32)
+        bright = np.minimum(small.levels.mean(-1), LEVELS - 1)
+        down, along = np.gradient(ndimage.gaussian_filter(bright, 1.0))
+        return np.where(over_channels(np.logical_and, small.above), 0, np.hypot(down, along))
+
+
+def _texels(pixels: np.ndarray, size: tuple[int, int], mask: np.ndarray) -> Texels | None:
+    low = mask.shape[0], mask.shape[1]
+    return None if low == size else Texels.of(pixels, size, low)
+
+
+def render(
+    model: AbstractModel, mask: np.ndarray, background: np.ndarray | None, size: tuple[int, int]
+) -> np.ndarray:
+    """The model's image, (h, w) or (h, w, 3), linear, clamped to [0, 1]."""
+    back = None if background is None else on_device(background)
+    return np.clip(np.asarray(_image(model, on_device(mask), back, size)), 0, 1)
+
+
+@kept
+def _image(model, mask, background, size):
+    return model(mask, background, size=size)
+
+
+def _grey(image: np.ndarray) -> tuple[np.ndarray, bool]:
+    """The image without channels where they agree, and whether they do."""
+    if image.ndim == 2:
+        return image, True
+    if all(np.array_equal(image[..., 0], image[..., c]) for c in (1, 2)):
+        # A copy, so that the channels that are not needed do not stay in memory.
+        return image[..., 0].copy(), True
+    return image, False

@@ -1,0 +1,84 @@
+"""Errors where neighbouring pixels err together: blocks of a JPEG, texels of an upsampled pass.
+
+The likelihood takes pixels to be independent. Where what is left of them is correlated, its
+curvature H promises too much, and the covariance of the estimate is H^-1 G H^-1, G the covariance
+of the likelihood's slope (White, Econometrica 50 (1982), 1). G is estimated from the slope's sums
+over square cells, each cell one draw (Liang & Zeger, Biometrika 73 (1986), 13): whatever agrees
+within a cell, noise, brightness and the picture's own structure, is counted as it is. One number
+for all parameters, from the residual's autocorrelation alone, would miss that a smooth derivative
+suffers from correlation and a rugged one does not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from godfit.inference.observation import Observation
+from godfit.inference.settle import Tangent
+
+# Cells a side, in pixels, that a picture of 256 pixels is cut into; never less than a JPEG's unit.
+CELLS, LEAST_CELL = 8, 16
+# Correlation of neighbours that chance, or the last trace of rounding, does not explain.
+CHANCE, TRACE = 5.0, 0.03
+
+
+def neighbours(score: np.ndarray, seen: Observation) -> tuple[float, float, int]:
+    """Correlation of horizontal and of vertical neighbours of ``score`` (m,), and the number of
+    pairs that the lesser known of them comes from."""
+    h, w = seen.size
+    image = np.full((h * w, seen.channels), np.nan, np.float32)
+    image[np.asarray(seen.pixels)] = np.asarray(score).reshape(-1, seen.channels)
+    image = image.reshape(h, w, seen.channels)
+    found, pairs = [], []
+    for a, b in ((image[:, :-1], image[:, 1:]), (image[:-1], image[1:])):
+        both = np.isfinite(a) & np.isfinite(b)
+        a, b = np.where(both, a, 0), np.where(both, b, 0)
+        power = float(np.sqrt(np.sum(a * a, dtype=np.float64) * np.sum(b * b, dtype=np.float64)))
+        found.append(float(np.sum(a * b, dtype=np.float64)) / power if power > 0 else 0.0)
+        pairs.append(int(np.count_nonzero(both)))
+    known = [n for n in pairs if n > 0]
+    return found[0], found[1], min(known, default=0)
+
+
+def white(score: np.ndarray, seen: Observation) -> bool:
+    """Whether neighbours know nothing of each other."""
+    across, down, pairs = neighbours(score, seen)
+    return bool(max(across, down) < max(TRACE, CHANCE / np.sqrt(max(pairs, 1))))
+
+
+def slope_covariance(
+    tangent: Tangent, score: np.ndarray, sigma: float, seen: Observation
+) -> np.ndarray:
+    """(p, p) covariance of the log-likelihood's slope by coordinate, from its sums over cells."""
+    h, w = seen.size
+    side = max(LEAST_CELL, max(h, w) // CELLS)
+    pixels = np.asarray(seen.pixels)
+    across = -(-w // side)
+    cell = np.repeat(pixels // w // side * across + pixels % w // side, seen.channels)
+    weight = np.asarray(score, np.float64) / sigma
+    sums = np.stack([np.bincount(cell, weight * row) for row in tangent.jacobian])
+    sums /= np.asarray(tangent.scale, np.float64)[:, None]
+    filled = np.count_nonzero(np.bincount(cell))
+    # The fit makes the sum over all cells zero in every coordinate, which takes as many draws.
+    left = max(filled - len(sums), 1)
+    return sums @ sums.T * (filled / left)
+
+
+def widened(
+    covariance: np.ndarray, slope: np.ndarray, free: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """``covariance`` (p, p) made H^-1 G H^-1 in every direction where that is more, and by how much
+    it grew: the pixels that each independent one stands for, the geometric mean over directions."""
+    moving = np.flatnonzero(free & (np.diag(covariance) > 0))
+    if not len(moving):
+        return covariance, 1.0
+    block = np.ix_(moving, moving)
+    # Scaled to a unit diagonal: the coordinates' units differ by orders of magnitude.
+    size = np.sqrt(np.diag(covariance)[moving])
+    values, vectors = np.linalg.eigh(covariance[block] / np.outer(size, size))
+    root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0))
+    growth, turn = np.linalg.eigh(root.T @ slope[block] @ root)
+    growth = np.maximum(growth, 1.0)
+    out = covariance.copy()
+    out[block] = (root @ turn * growth) @ (root @ turn).T
+    return out, float(np.exp(np.mean(np.log(growth))))

@@ -1,0 +1,257 @@
+"""One nonlinear least-squares solve: optimistix on deviance residuals, bounds by an active set."""
+
+from __future__ import annotations
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Bool, Float
+
+from godfit.inference.likelihood import deviance_residuals, interval
+from godfit.inference.observation import Observation
+from godfit.models.mitchell import AbstractModel, Values, Vector
+from godfit.runtime.blas import one_thread
+from godfit.runtime.device import on_device
+from godfit.runtime.program_cache import kept
+
+Switches = Bool[Array, " p"] | Bool[np.ndarray, " p"]
+
+Scalar = Float[Array, ""] | np.float32
+
+MAX_ACTIVE_SET_ROUNDS = 6
+MAX_STEPS, RTOL = 12, 1e-5
+MAX_TANGENT_STEPS = 60
+# Gain in log-likelihood that is not worth another step on a tangent.
+ENOUGH = 1e-2
+
+
+class Point(NamedTuple):
+    """Where a solve ended: coordinates, half the deviance there, whether the solver was content."""
+
+    coordinates: np.ndarray
+    cost: float
+    settled: bool
+    steps: int
+
+
+@kept
+def _least_squares(
+    start: Vector,
+    free: Switches,
+    scale: Vector,
+    held: Vector,
+    model: AbstractModel,
+    seen: Observation,
+    sigma: Scalar,
+    rtol: float,
+    most: int,
+):
+    def residuals(y, _):
+        at = model.moved(jnp.where(free, y * scale, start), held)
+        return share * deviance_residuals(seen.predict(at), seen.lo, seen.hi, sigma, seen.foreign)
+
+    # Residuals of order one in sum make the solver's first damping, 1, mean something: it starts
+    # between the gradient and the Newton step instead of leaping.
+    share = seen.lo.shape[0] ** -0.5
+    solver = optx.LevenbergMarquardt(rtol=rtol, atol=rtol / 10, linear_solver=lx.QR())
+    solution = optx.least_squares(residuals, solver, start / scale, max_steps=most, throw=False)
+    coordinates = jnp.where(free, solution.value * scale, start)
+    cost = 0.5 * jnp.sum((solution.state.f_info.residual / share) ** 2)
+    settled = solution.result == optx.RESULTS.successful
+    return coordinates, cost, settled, solution.stats["num_steps"]
+
+
+@kept
+def linearise(
+    coordinates: Vector,
+    held: Vector,
+    scale: Vector,
+    model: AbstractModel,
+    seen: Observation,
+) -> tuple[Float[Array, " m"], Float[Array, "p m"]]:
+    """Predicted levels and, a row for each, their derivatives by the coordinates divided by
+    ``scale``."""
+
+    def predict(y):
+        return seen.predict(model.moved(y * scale, held))
+
+    y = coordinates / scale
+    move = functools.partial(jax.jvp, predict, (y,))
+    return jax.vmap(move, out_axes=(None, 0))((jnp.eye(y.shape[0], dtype=y.dtype),))
+
+
+@kept
+def _on_tangent(
+    step: Vector,
+    prediction: Values,
+    jacobian: Float[Array, "p m"] | Float[np.ndarray, "p m"],
+    lo: Values,
+    hi: Values,
+    sigma: Scalar,
+    foreign: float = 0.0,
+) -> Float[Array, "p+2 p"]:
+    """Log-likelihood with the model replaced by its tangent (first of the first row), slope by
+    ``step`` (second row) and curvature."""
+    jacobian = jnp.asarray(jacobian)
+    levels = jnp.asarray(prediction) + step @ jacobian
+    low, high = (jnp.asarray(lo) - levels) / sigma, (jnp.asarray(hi) - levels) / sigma
+    pixel = interval(low, high, foreign)
+    curvature = (jacobian * (pixel.curvature / sigma**2)[None]) @ jacobian.T
+    slope = jacobian @ (pixel.slope / sigma)
+    # In one array: what is brought back one by one takes as long as it takes to work out.
+    return jnp.concatenate([jnp.full_like(slope, pixel.log.sum())[None], slope[None], curvature])
+
+
+@kept
+def _gram(jacobian):
+    return jacobian @ jacobian.T
+
+
+def solve(
+    start: np.ndarray,
+    free: np.ndarray,
+    held: np.ndarray,
+    model: AbstractModel,
+    seen: Observation,
+    sigma: float,
+    *,
+    bounded: bool = True,
+    rtol: float = RTOL,
+    most: int = MAX_STEPS,
+) -> Point:
+    """Minimise the deviance over the ``free`` coordinates, inside the model's bounds or, far from
+    the answer, without them: the way there may lead outside, where the sum is as smooth. At
+    ``most`` so many steps, or until none changes coordinates, in scales, and deviance by more than
+    a share of ``rtol``."""
+
+    limits = np.float32(sigma), rtol, most
+
+    def run(z, moving):
+        scale = model.scales(z)
+        with one_thread():
+            found = _least_squares(z, moving, scale, held, model, seen, *limits)
+            # JAX goes on before it is done.
+            return jax.block_until_ready(found)
+
+    if not bounded:
+        value, cost, settled, steps = run(start, free)
+        sound = np.isfinite(value).all() and np.isfinite(cost)
+        return Point(np.asarray(value), float(cost) if sound else np.inf, bool(settled), int(steps))
+
+    def slope(z):
+        prediction, jacobian = linearise(z, held, np.ones_like(z), model, seen)
+        return _slope(prediction, jacobian, seen.lo, seen.hi, np.float32(sigma), seen.foreign)
+
+    return _inside(start, free, model, run, slope)
+
+
+def solve_tangent(
+    start: np.ndarray,
+    free: np.ndarray,
+    model: AbstractModel,
+    scale: np.ndarray,
+    prediction: Values,
+    jacobian: Float[Array, "p m"] | Float[np.ndarray, "p m"],
+    lo: Values,
+    hi: Values,
+    sigma: float,
+    foreign: float = 0.0,
+) -> Point:
+    """The likeliest coordinates inside the bounds on the tangent at ``start``, given by
+    ``linearise``: a concave problem in a few unknowns.
+
+    Newton's method, damped by what least squares knows (the likelihood is flat inside the intervals
+    and steep outside) and projected onto the bounds: a coordinate on its bound with a slope
+    outwards stays there (Bertsekas, SIAM J. Control Optim. 20 (1982), 221).
+    """
+    values = [*(on_device(z) for z in (prediction, jacobian, lo, hi)), np.float32(sigma)]
+    bounds = [np.asarray(b) for b in model.bounds()]
+    lower, upper = ((b - start) / scale for b in bounds)
+    width = np.asarray(hi) - np.asarray(lo)
+    rounding = width[np.isfinite(width)].max(initial=0) ** 2 / 12
+    # One scale for every coordinate keeps those that nothing is known of where they are.
+    least_squares = np.asarray(_gram(values[1]), np.float64) / (sigma**2 + rounding)
+    still, size = 1.0, np.sqrt(np.diag(least_squares) + 1)
+
+    def at(step):
+        found = _on_tangent(step.astype(np.float32), *values, foreign)
+        found = np.asarray(found, np.float64)
+        return found[0, 0], found[1], found[2:]
+
+    step, damping, settled, steps = np.zeros(len(start)), 1e-2, False, 0
+    likelihood, slope, curvature = at(step)
+    if not all(np.isfinite(z).all() for z in (likelihood, slope, curvature, least_squares)):
+        return Point(start, np.inf, False, 0)
+    while steps < MAX_TANGENT_STEPS and not settled:
+        steps += 1
+        held = ((step <= lower) & (slope < 0)) | ((step >= upper) & (slope > 0))
+        moving = np.flatnonzero(free & ~held)
+        if not len(moving):
+            settled = True
+            break
+        damped = curvature + damping * least_squares + still * np.eye(len(start))
+        damped /= np.outer(size, size)
+        move = np.zeros(len(start))
+        pull = slope[moving] / size[moving]
+        move[moving] = np.linalg.solve(damped[np.ix_(moving, moving)], pull) / size[moving]
+        trial = np.clip(step + move, lower, upper)
+        promised = float(slope @ (trial - step))
+        found = at(trial)
+        if found[0] >= likelihood:
+            if found[0] - likelihood > 0.7 * promised:
+                # As much as the slope says, where a whole step gains half: no curvature ended it.
+                still /= 10
+            step, (likelihood, slope, curvature) = trial, found
+            damping = max(damping / 10, 1e-6)
+        else:
+            damping = 4 * damping
+        settled = promised < ENOUGH
+    z = np.clip(start + step * scale, *bounds)
+    return Point(z.astype(np.float32), -float(likelihood), settled, steps)
+
+
+@kept
+def _slope(prediction, jacobian, lo, hi, sigma, foreign):
+    pixel = interval((lo - prediction) / sigma, (hi - prediction) / sigma, foreign)
+    return -jacobian @ (pixel.slope / sigma)
+
+
+def _inside(start, free, model, run, slope) -> Point:
+    """``run`` again and again with fewer or more coordinates moving, until all are in bounds.
+
+    A coordinate that a run takes out of its bounds is put on the bound and stays there for the next
+    one: a true value can lie *on* a bound, which a sigmoid could never reach.
+    """
+    lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
+
+    def inward(z, of):
+        falls = np.asarray(slope(z)) if of.any() else np.zeros_like(z)
+        return of & (((z <= lower) & (falls < 0)) | ((z >= upper) & (falls > 0)))
+
+    z = np.clip(np.asarray(start, np.float32), lower, upper)
+    # What would leave at once need not be seen to.
+    bound = free & ((z <= lower) | (z >= upper))
+    moving = free & (~bound | inward(z, bound))
+    released, steps = False, 0
+    for _ in range(MAX_ACTIVE_SET_ROUNDS):
+        value, cost, settled, taken = run(z, moving)
+        steps += int(taken)
+        moved = np.asarray(value)
+        if not np.isfinite(moved).all() or not np.isfinite(float(cost)):
+            return Point(z, float("inf"), False, steps)
+        z = np.clip(moved, lower, upper)
+        out = moving & (z != moved)
+        if out.any():
+            moving = moving & ~out
+            continue
+        # Released ones get no second chance to leave: that would go round for ever.
+        back = inward(z, free & ~moving & (not released))
+        if not back.any():
+            break
+        moving, released = moving | back, True
+    return Point(z, float(cost), bool(settled), steps)

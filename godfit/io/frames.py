@@ -1,0 +1,63 @@
+"""The frames of a clip, one at a time: image files in their order, or those of a video."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from godfit.errors import InputError
+from godfit.io.image import Image, decode, read_image
+
+VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
+
+
+def is_video(path: str | os.PathLike[str]) -> bool:
+    """Whether the name says that this is a video."""
+    return Path(path).suffix.lower() in VIDEOS
+
+
+def frames(paths: Sequence[str], every: int, transfer: str = "none") -> Iterator[Image]:
+    """Every so many frames of all the files ``paths``, counted through. Raises InputError for what
+    cannot be read, before the first frame where a file is missing."""
+    for path in paths:
+        if not Path(path).is_file():
+            raise InputError(f"'{path}': expected an image or a video, got no such file")
+    return _one_by_one(paths, every, transfer)
+
+
+def _one_by_one(paths: Sequence[str], every: int, transfer: str) -> Iterator[Image]:
+    count = 0
+    for path in paths:
+        if is_video(path):
+            for number, values in _of_video(path):
+                if count % every == 0:
+                    yield _image(values, f"{path}#{number}", transfer)
+                count += 1
+            continue
+        if count % every == 0:
+            yield read_image(path, transfer=transfer)
+        count += 1
+
+
+def _image(values: np.ndarray, name: str, transfer: str) -> Image:
+    linear = decode(values.astype(np.float32) / np.float32(255), transfer)
+    return Image(np.asarray(linear), 1 / 255, transfer, name, "")
+
+
+def _of_video(path: str) -> Iterator[tuple[int, np.ndarray]]:
+    """(number, (h, w, 3) bytes) of every frame; decoded one at a time."""
+    import imageio.v3 as iio
+
+    try:
+        yield from enumerate(iio.imiter(path, plugin="pyav", format="rgb24"), 1)
+    except ImportError as error:
+        raise InputError(
+            f"'{path}': a video needs the package av, which is not installed; "
+            "pip install 'godfit[video]', or give its frames as images"
+        ) from error
+    except Exception as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"'{path}': expected a video, got {reason}") from error

@@ -1,0 +1,197 @@
+"""The daylight of Hoffman and Preetham behind occluders: L(s, theta, phi) = (1 - D) L(s, theta).
+
+Mitchell's equation 3 (GPU Gems 3, ch. 13): what the analytic model gives for a pixel, less what the
+occluders on the way to the sun keep from it, D being read from a mask by the averaging taps. The
+physics is in ``atmosphere.py``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from godfit.models.atmosphere import LEAST_TURBIDITY, Air, hoffman_preetham, zenith_angle
+from godfit.models.mitchell import AbstractModel, Vector
+from godfit.scattering.parameters import Parameter, light_parameters
+from godfit.scattering.radial import radial_sum
+from godfit.scattering.taps import average
+from godfit.scattering.upsample import Texels, at_pixels
+
+AIR = (
+    Parameter("e_sun", "E", "1", 0.0, math.inf, "the sun's irradiance above the air"),
+    Parameter("scale", "a", "m per unit", 0.0, math.inf, "air that a unit of distance stands for"),
+    Parameter("turbidity", "T", "1", LEAST_TURBIDITY, 64.0, "haze: 1 none, 2 clear, 6 hazy"),
+    Parameter("g", "g", "1", -0.99, 0.99, "mean cosine of the haze's scattering"),
+)
+# Depths below this (of the middle wavelength) cannot be told from none.
+LEAST_DEPTH = 1e-4
+
+
+class View(eqx.Module):
+    """How a picture looks at the world: the vertical field of view (degrees), the world's up in the
+    camera's axes (right, up, back), and ``distance``, (h, w) or (), to what is seen.
+
+    ``distance`` may be of another size than the picture and is read from the nearest pixel;
+    ``typical``, its median, is what depths are measured by.
+    """
+
+    distance: Float[Array, "..."]
+    typical: Float[Array, ""]
+    fov_y: Float[Array, ""]
+    up: Float[Array, "3"]
+
+    def __init__(self, distance, fov_y=60.0, up=(0.0, 1.0, 0.0)):
+        self.distance = jnp.asarray(distance, float)
+        self.typical = jnp.asarray(np.median(np.asarray(distance)), float)
+        self.fov_y, self.up = jnp.asarray(fov_y, float), jnp.asarray(up, float)
+
+    def direction(self, u, v, aspect: float) -> Float[Array, "... 3"]:
+        """Unit vectors towards texture coordinates, in the camera's axes."""
+        tall = jnp.tan(jnp.deg2rad(self.fov_y) / 2)
+        x, y = (2 * u - 1) * (aspect * tall), (2 * v - 1) * tall
+        along = jnp.stack([x, y, -jnp.ones_like(x)], -1)
+        return along / jnp.linalg.norm(along, axis=-1, keepdims=True)
+
+    def seen(self, size: tuple[int, int], pixels: Int[Array, " n"]):
+        """(n,) distances and (n, 3) directions of the pixels of a picture of ``size``."""
+        h, w = size
+        row, column = pixels // w, pixels % w
+        distance = self.distance
+        if distance.ndim == 2:
+            tall, wide = distance.shape
+            distance = distance[row * tall // h, column * wide // w]
+        dtype = self.distance.dtype
+        u, v = (column.astype(dtype) + 0.5) / w, 1 - (row.astype(dtype) + 0.5) / h
+        return jnp.broadcast_to(distance, pixels.shape), self.direction(u, v, w / h)
+
+
+class HoffmanPreetham(AbstractModel):
+    """Parameters are those of ``Air`` and the sun's place in the picture, ``light`` (1, 2).
+
+    The mask is 1 where the sky is seen and 0 where something occludes it. Fit coordinates, one for
+    each parameter and in their order: gain = e_sun depth; depth, the optical depth of the typical
+    distance at 570 nm; turbidity; g; the light. In thin air only the gain shows.
+    """
+
+    name: ClassVar[str] = "hoffman-preetham"
+    kept: ClassVar[str] = "e_sun"
+    product: ClassVar[tuple[str, str]] = ("scale", "e_sun")
+    banded: ClassVar[bool] = False
+    channels: ClassVar[int] = 3
+
+    air: Air
+    light: Float[Array, "1 2"]
+    view: View
+    samples: int = eqx.field(static=True, default=100)
+
+    def __init__(self, air: Air, light, view: View, samples: int = 100):
+        self.air, self.view, self.samples = air, view, samples
+        self.light = jnp.asarray(light, float).reshape(1, 2)
+
+    @property
+    def settings(self) -> dict[str, str | int | float]:
+        return {
+            "samples": self.samples,
+            "phase": self.air.phase,
+            "fov": float(self.view.fov_y),
+            "distance": float(self.view.typical),
+        }
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        return {p.name: p for p in AIR + light_parameters(1)}
+
+    @property
+    def defaults(self) -> dict[str, float]:
+        return {"turbidity": 2.0, "g": 0.76}
+
+    def values(self) -> dict[str, Float[Array, ""]]:
+        air = self.air
+        numbers = (air.e_sun, air.scale, air.turbidity, air.g, *self.light[0])
+        return dict(zip(self.parameters, numbers, strict=True))
+
+    def coordinates(self) -> Float[Array, " p"]:
+        air = self.air
+        depth = air.beta_ex[1] * self.view.typical
+        return jnp.stack([air.e_sun * depth, depth, air.turbidity, air.g, *self.light[0]])
+
+    def moved(self, coordinates: Vector, held: Vector | None = None) -> HoffmanPreetham:
+        if held is None:
+            held = jnp.full_like(coordinates, jnp.nan)
+        gain, depth, turbidity, g = coordinates[:4]
+        turbidity = jnp.where(jnp.isnan(held[2]), turbidity, held[2])
+        g = jnp.where(jnp.isnan(held[3]), g, held[3])
+        of_one = Air(turbidity, g, 1.0, 1.0, self.air.haze, self.air.phase).beta_ex[1]
+        of_one = of_one * self.view.typical.astype(of_one.dtype)
+        scale = jnp.where(jnp.isnan(held[1]), depth / of_one, held[1])
+        deep = scale * of_one
+        e_sun = gain / jnp.where(jnp.abs(deep) > 1e-9, deep, 1e-9)
+        e_sun = jnp.where(jnp.isnan(held[0]), e_sun, held[0])
+        light = jnp.where(jnp.isnan(held[4:]), coordinates[4:], held[4:])
+        return eqx.tree_at(
+            lambda m: (m.air.e_sun, m.air.scale, m.air.turbidity, m.air.g, m.light),
+            self,
+            (e_sun, scale, turbidity, g, light[None]),
+        )
+
+    def bounds(self) -> tuple[list[float], list[float]]:
+        inf = math.inf
+        lower = [0.0, LEAST_DEPTH, *(p.lower for p in AIR[2:]), -inf, -inf]
+        return lower, [inf, inf, *(p.upper for p in AIR[2:]), inf, inf]
+
+    def linear(self) -> np.ndarray:
+        return np.arange(6) == 0
+
+    def scales(self, coordinates: np.ndarray) -> np.ndarray:
+        floor = np.array([1e-3, 0.01, 0.1, 0.1, 0.1, 0.1], np.float32)
+        return np.abs(coordinates) * np.float32(0.1) + floor
+
+    def ranges(self, coordinates: np.ndarray) -> np.ndarray:
+        gain, depth, *_ = coordinates
+        # Air that cannot be told from none leaves its scale open: only the gain is known then.
+        return np.array([max(gain, 0.05), depth, 3.0, 0.5, 0.5, 0.5])
+
+    def openness(
+        self,
+        mask: Float[Array, "h w"] | Float[Array, "h w c"],
+        at: Float[Array, "*points 2"] | None = None,
+        method: str = "auto",
+    ) -> Float[Array, "..."]:
+        """1 - D, as ``Mitchell.light_pass``."""
+        return radial_sum(mask, self.light[0], average(self.samples), at=at, method=method)
+
+    def __call__(
+        self,
+        mask: Float[Array, "h w"] | Float[Array, "h w c"],
+        background: Float[Array, "..."] | None = None,
+        *,
+        size: tuple[int, int] | None = None,
+        pixels: Int[Array, " n"] | None = None,
+        texels: Texels | None = None,
+        method: str = "auto",
+    ) -> Float[Array, "..."]:
+        """(H, W, 3) or (n, 3), linear, not clamped; see ``Mitchell.__call__``. ``background`` is
+        what would be seen without air, L_0; None is black."""
+        size = (mask.shape[0], mask.shape[1]) if size is None else size
+
+        def unoccluded(mask, at):
+            return self.openness(mask, at, method)
+
+        lit = at_pixels(unoccluded, mask, size, pixels, texels)
+        lit = lit.reshape(-1, mask.shape[2] if mask.ndim == 3 else 1)
+        where = jnp.arange(size[0] * size[1]) if pixels is None else pixels
+        distance, direction = self.view.seen(size, where)
+        u, v = self.light[0]
+        sun = self.view.direction(u, v, size[1] / size[0])
+        zenith = zenith_angle(sun, self.view.up)
+        surface = 0.0
+        if background is not None:
+            surface = background.reshape(size[0] * size[1], -1)[where]
+        radiance = hoffman_preetham(self.air, distance, direction @ sun, zenith, surface)
+        image = lit * radiance
+        return image.reshape(*(size if pixels is None else pixels.shape), 3)

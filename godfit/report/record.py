@@ -1,0 +1,127 @@
+"""A fit.json read again: the model it holds and the images that it was fitted with."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from godfit import request as inputs
+from godfit.errors import InputError
+from godfit.io.filters import shrink
+from godfit.io.image import read_image
+from godfit.models.mitchell import Mitchell
+from godfit.scenes.scene import read_scene
+
+SETTINGS = ("model", "shader", "samples", "rays", "phase", "fov", "distance")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Recorded:
+    """``mask`` (h, w) or (h, w, 3) is what the light pass reads, at its own size; ``size`` is the
+    picture's (rows, columns); ``notes`` say what is not as it was."""
+
+    model: Mitchell
+    mask: np.ndarray
+    background: np.ndarray | None
+    size: tuple[int, int]
+    transfer: str
+    notes: tuple[str, ...]
+
+
+def read_record(path: str) -> dict[str, Any]:
+    """The whole of a fit.json. Raises InputError for anything else."""
+    try:
+        record = json.loads(Path(path).read_text(encoding="utf-8"))
+        if not isinstance(record["params"], dict):
+            raise TypeError("params is no table")
+        for entry in record["params"].values():
+            float(entry["value"])
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"'{path}': expected a fit.json, got {type(error).__name__}: {error}"
+        ) from error
+    return record
+
+
+def read_params(path: str) -> dict[str, Any]:
+    """Shader, samples and parameters of a fit.json."""
+    record = read_record(path)
+    return {
+        **{key: record[key] for key in SETTINGS if key in record},
+        **{name: entry["value"] for name, entry in record["params"].items()},
+    }
+
+
+def recorded(
+    path: str,
+    *,
+    mask: str | None = None,
+    scene: str | None = None,
+    background: str | None = None,
+) -> Recorded:
+    """The fit in the file ``path``; its images are those given, or those at the paths in it, as
+    seen from the working folder. Raises InputError where they cannot be found or do not fit."""
+    record, settings, notes = read_record(path), read_params(path), []
+    if settings.get("model", Mitchell.name) != Mitchell.name:
+        raise InputError(f"'{path}': expected a fit of mitchell, got {settings['model']}")
+    if mask is not None and scene is not None:
+        raise InputError("simplify: expected --mask or --scene, got both")
+    model = inputs.model_from(settings, {}, [])
+    transfer = record.get("transfer", "none")
+    files = record.get("inputs", {})
+
+    def found(role: str, given: str | None) -> str | None:
+        if given is not None:
+            return given
+        old = files.get(role, {}).get("path") or None
+        if old is not None and not Path(old).is_file():
+            raise InputError(
+                f"{role}: expected '{old}', as '{path}' has it, got no such file here; "
+                f"give --{role} or run this where the fit was run"
+            )
+        return old
+
+    place = found("mask", mask) if scene is None else None
+    stage = found("scene", scene) if place is None else None
+    if place is not None:
+        image = read_image(place)
+        if mask is None and image.sha256 != files["mask"].get("sha256", image.sha256):
+            notes.append(f"mask: '{place}' is not what it was when the fit was made")
+        occlusion = image.values
+    elif stage is not None:
+        drawn = read_scene(stage)
+        notes += [f"scene: {note}" for note in drawn.notes]
+        occlusion = inputs.drawn(drawn, drawn.antialias is not False)
+    else:
+        raise InputError(f"'{path}': expected the path of a mask in it, got none; give --mask")
+    place = found("background", background)
+    back = None if place is None else read_image(place, transfer=transfer).values
+    default = occlusion.shape[:2] if back is None else back.shape[:2]
+    size = _pair(record, "size") or (default[0], default[1])
+    low = _pair(record, "pass_size") or occlusion.shape[:2]
+    if low[0] > occlusion.shape[0] or low[1] > occlusion.shape[1]:
+        h, w = occlusion.shape[:2]
+        raise InputError(
+            f"mask: expected at least the pass's {low[1]}x{low[0]} pixels, got {w}x{h}"
+        )
+    if low != occlusion.shape[:2]:
+        occlusion = shrink(occlusion, low)
+    if back is not None and back.shape[:2] != size:
+        h, w = back.shape[:2]
+        raise InputError(f"background: expected {size[1]}x{size[0]} pixels, got {w}x{h}")
+    return Recorded(model, occlusion, back, size, transfer, tuple(notes))
+
+
+def _pair(record: dict[str, Any], key: str) -> tuple[int, int] | None:
+    """``[columns, rows]`` -> (rows, columns)."""
+    if key not in record:
+        return None
+    try:
+        columns, rows = (int(n) for n in record[key])
+    except (TypeError, ValueError) as error:
+        raise InputError(f"fit.json: {key}: expected [width, height], got {record[key]}") from error
+    return rows, columns

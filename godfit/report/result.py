@@ -1,0 +1,123 @@
+"""What a fit found: values, errors, what is left open, and the pictures that go with them."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import os
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from godfit.inference.evaluate import occlusion_of
+from godfit.inference.observation import LEVELS, Picture
+from godfit.io.image import decode
+from godfit.models.mitchell import AbstractModel
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """A parameter's value; ``stderr`` is None where it is fixed or cannot be known. ``interval``
+    is the 95% interval of its profile likelihood, ``posterior`` the middle 95% of the posterior,
+    where these were asked for."""
+
+    value: float
+    stderr: float | None
+    fixed: bool = False
+    at_bound: bool = False
+    interval: tuple[float, float] | None = None
+    posterior: tuple[float, float] | None = None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FitResult:
+    """What the picture says. Arrays are (h, w) or (h, w, 3); levels are 8-bit levels.
+
+    ``combined`` has the product that is known even where its factors are not,
+    ``"exposure*weight"``. ``covariance`` is that of the parameters in the order of ``params`` (NaN
+    where held); ``correlations`` keeps the pairs above 0.1 in size, largest first;
+    ``undetermined`` names in words what the picture leaves open, ``warnings`` why the model may be
+    the wrong one.
+    ``pixels_effective`` is how many independent pixels say as much: fewer than ``pixels`` where
+    their errors are correlated. ``starts_agreed`` is (agreeing, tried) where other starts were
+    tried. ``noise_levels`` is the standard deviation of the noise
+    before rounding; ``residual_correlation`` is that of neighbouring residuals, near 0 for noise,
+    ``residual_tails`` their kurtosis, near 3 for Gaussian noise. ``simulated``: values and errors
+    allow for what the target went through, see ``indirect.py``, which the likelihood does not.
+    """
+
+    converged: bool
+    message: str
+    model: AbstractModel
+    params: dict[str, Estimate]
+    combined: dict[str, Estimate]
+    covariance: np.ndarray
+    correlations: dict[str, float]
+    undetermined: tuple[str, ...]
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    noise_levels: float
+    rmse_levels: float
+    psnr_db: float
+    pixels: int
+    pixels_effective: float
+    pixels_clipped: int
+    residual_correlation: float
+    residual_tails: float
+    log_likelihood: float
+    timing_s: dict[str, float]
+    picture: Picture
+    # By coordinate: which moved, and where the rest of the parameters were held (NaN if free).
+    free: np.ndarray
+    held: np.ndarray
+    seed: int = 0
+    starts_agreed: tuple[int, int] | None = None
+    simulated: bool = False
+    inputs: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
+
+    @functools.cached_property
+    def _levels(self) -> np.ndarray:
+        return self.picture.rendered(self.model)
+
+    def render(self) -> np.ndarray:
+        """The fitted image, linear, clamped to [0, 1]; shaped like the target."""
+        image = np.asarray(decode(self._levels / np.float32(LEVELS), self.picture.transfer))
+        return image if image.shape[-1] == 3 else image[..., 0]
+
+    @property
+    def mask(self) -> np.ndarray:
+        """(h, w) or (h, w, 3): the occlusion mask that the light pass reads, given or estimated."""
+        return np.asarray(occlusion_of(self.model, np.asarray(self.picture.mask)))
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Fitted minus target in levels, both clamped to the scale, NaN where ignored."""
+        residual = self._levels - self.picture.levels
+        residual[~self.picture.valid] = np.nan
+        return residual if residual.shape[-1] == 3 else residual[..., 0]
+
+    def summary(self) -> str:
+        """The table that the command line prints, as plain text."""
+        from godfit.report.text import summary
+
+        return summary(self)
+
+    def plot(self) -> Figure:
+        """A matplotlib figure: target, fitted, residual, parameters."""
+        from godfit.report.text import plot
+
+        return plot(self)
+
+    def save(self, folder: str | os.PathLike[str]) -> None:
+        """Write fit.json, fit.png and render.png into ``folder``; raises OSError."""
+        from godfit.report.text import save
+
+        save(self, folder)
+
+    def _repr_html_(self) -> str:
+        from godfit.report.text import html
+
+        return html(self)

@@ -1,0 +1,239 @@
+"""What the settled fit is worth: values, errors, what is open, and whether to believe it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from godfit.inference import diagnostics, sandwich
+from godfit.inference.estimates import estimates
+from godfit.inference.evaluate import model_at
+from godfit.inference.information import Evidence, Misfit, misfit
+from godfit.inference.noise import WITHIN_ROUNDING
+from godfit.inference.observation import LEVELS, Observation, Picture
+from godfit.inference.settle import Settled, Tangent
+from godfit.inference.solver import linearise
+from godfit.models.mitchell import AbstractModel
+from godfit.report.result import Estimate, FitResult
+
+# Error of the light's place, as a share of the picture, that is no place.
+ANYWHERE = 0.1
+FROM_ANYWHERE = (
+    "no rays were found: what may be light comes from {:.2f} +- {:.2f}, {:.2f} +- {:.2f} of the "
+    "picture, which is from anywhere"
+)
+# Times over that a picture says the same, least, that is a line of pixels, repeated.
+A_LINE = 16
+STRUCTURED = (
+    "what is left is not noise ({:.2f} levels, neighbours correlated by {:.2f}): background or "
+    "occluders are more than the model has"
+)
+
+
+@dataclass
+class Found:
+    """Where a fit ended. ``free`` and ``held`` (p,) say what moved and where the rest was held;
+    ``opened`` are the coordinates that the picture leaves open, each with those it trades with."""
+
+    model: AbstractModel
+    picture: Picture
+    seen: Observation
+    settled: Settled
+    at: Evidence
+    free: np.ndarray
+    held: np.ndarray
+    opened: list[tuple[int, list[int]]]
+    inquire: bool = True
+    # What may be wrong, and why the answer is not to be believed at all, in words.
+    remarks: tuple[str, ...] = ()
+    objection: str = ""
+    # Of the coordinates (p,), where what was taken as known is a little different.
+    shifts: tuple[np.ndarray, ...] = ()
+    starts_agreed: tuple[int, int] | None = None
+    # What another reading of the images, which explains far more, says was wrong.
+    remedy: diagnostics.Suspect | None = None
+    # Covariance of the coordinates (p, p), where a known cause of what is left was simulated.
+    scatter: np.ndarray | None = None
+
+
+class Spread(NamedTuple):
+    """``covariance`` (p, p) of the coordinates, zero for those that are not free; how many pixels
+    each independent one stands for, ``growth``, and each of the light pass, ``upsampled``; what may
+    be wrong, and how unlike noise what is left is."""
+
+    covariance: np.ndarray
+    growth: float
+    upsampled: float
+    suspects: list[diagnostics.Suspect]
+    left: Misfit
+
+
+def spread(found: Found) -> Spread:
+    """How well the coordinates are known, all that is known to be correlated or doubtful counted
+    in."""
+    left = misfit(found.at.prediction, found.seen)
+    if found.scatter is not None:
+        known = found.at.covariance(found.free)
+        grown = _growth(found.scatter, known, found.free)
+        block = diagnostics.jpeg(found.picture)
+        return Spread(found.scatter, grown, 1.0, [] if block is None else [block], left)
+    # The pixels of an upsampled pass share its texels and say no more than these.
+    upsampled = float(np.prod(found.picture.size) / np.prod(found.picture.mask.shape[:2]))
+    covariance, growth, suspects = _correlated(found, found.at.covariance(found.free), left)
+    covariance = covariance * max(1.0, upsampled / growth)
+    for shift in found.shifts:
+        covariance += np.outer(shift, shift)
+    growth = max(growth, upsampled, found.picture.repeats)
+    return Spread(covariance, growth, upsampled, suspects, left)
+
+
+def verdict(
+    found: Found,
+    used: np.ndarray,
+    notes: tuple[str, ...],
+    files: dict[str, dict[str, str]],
+    timing: dict[str, float],
+    seed: int = 0,
+) -> FitResult:
+    """The result; ``used`` (p,) says which parameters the shader has, ``seed`` how pixels were
+    chosen."""
+    picture, seen, settled, at = found.picture, found.seen, found.settled, found.at
+    pixels = np.asarray(seen.pixels)
+    errs = spread(found)
+    left = errs.left
+    told = estimates(
+        found.model,
+        settled.coordinates,
+        errs.covariance,
+        found.free,
+        found.held,
+        found.opened,
+        used,
+    )
+    objection = found.objection
+    if picture.foreign and not objection:
+        objection = _from_anywhere(found.starts_agreed, told.params)
+    target = picture.levels.reshape(-1, picture.channels)[pixels].reshape(-1)
+    error = np.clip(at.prediction, 0, LEVELS) - target
+    rmse = float(np.sqrt(np.mean(error.astype(np.float64) ** 2)))
+    # A pass that is upsampled was rounded once before.
+    allowed = WITHIN_ROUNDING * (2 if errs.upsampled > 1 else 1)
+    trusted = settled.sigma <= allowed or left.like_noise or found.scatter is not None
+    remarks = found.remarks
+    if picture.foreign and not objection:
+        # A person is told, and errors are widened: a model so rough is never all of a picture.
+        remarks += () if trusted else (STRUCTURED.format(settled.sigma, left.correlation),)
+        trusted = True
+    trusted = trusted and not objection
+    # One line of pixels, repeated, has so many explanations that its errors say nothing.
+    a_line = is_a_line(picture) and int(found.free.sum()) > 2
+    converged = trusted and settled.quiet and not a_line
+    return FitResult(
+        converged=converged,
+        message=objection or _message(settled, trusted, left, a_line),
+        model=told.model,
+        params=told.params,
+        combined=told.combined,
+        covariance=told.covariance,
+        correlations=_correlations(list(found.model.parameters), told.covariance),
+        undetermined=told.undetermined,
+        warnings=(*(s.words for s in errs.suspects), *remarks),
+        notes=notes,
+        noise_levels=settled.sigma,
+        rmse_levels=rmse,
+        psnr_db=float(20 * np.log10(LEVELS / max(rmse, 1e-6))),
+        pixels=len(pixels),
+        pixels_effective=len(pixels) / errs.growth,
+        pixels_clipped=int((picture.clipped & picture.valid).sum()),
+        residual_correlation=left.correlation,
+        residual_tails=left.tails,
+        log_likelihood=settled.log_likelihood,
+        timing_s=timing | {"solve": timing["solve"] - timing["compile"]},
+        picture=picture,
+        free=found.free,
+        held=told.held,
+        seed=seed,
+        starts_agreed=found.starts_agreed,
+        simulated=found.scatter is not None,
+        inputs=files,
+    )
+
+
+def _from_anywhere(agreed: tuple[int, int] | None, params: dict[str, Estimate]) -> str:
+    """Why light of no known place, which no other of the starts that were tried found either, is no
+    rays; empty where its place is known."""
+    at = [params[name] for name in ("light_x", "light_y") if name in params]
+    if agreed is None or agreed[0] > 1 or all((e.stderr or 0) <= ANYWHERE for e in at):
+        return ""
+    return FROM_ANYWHERE.format(*(v for e in at for v in (e.value, e.stderr or 0)))
+
+
+def _growth(covariance: np.ndarray, before: np.ndarray, free: np.ndarray) -> float:
+    """By how much variances grew, the geometric mean over coordinates."""
+    ratio = np.diag(covariance)[free] / np.maximum(np.diag(before)[free], 1e-30)
+    return float(np.exp(np.mean(np.log(np.maximum(ratio, 1.0))))) if free.any() else 1.0
+
+
+def _correlated(
+    found: Found, covariance: np.ndarray, left: Misfit
+) -> tuple[np.ndarray, float, list[diagnostics.Suspect]]:
+    """The covariance (p, p) with correlation allowed for, how many pixels each independent one
+    stands for, and what may be wrong. Untouched where neighbours err independently."""
+    settled, seen = found.settled, found.seen
+    if settled.sigma <= WITHIN_ROUNDING:
+        return covariance, 1.0, []
+    block = diagnostics.jpeg(found.picture)
+    suspects = [] if block is None else [block]
+    if sandwich.white(found.at.score, seen):
+        return covariance, 1.0, suspects
+    scale = found.model.scales(settled.coordinates)
+    prediction, jacobian = linearise(settled.coordinates, found.held, scale, found.model, seen)
+    tangent = Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
+    slope = sandwich.slope_covariance(tangent, found.at.score, settled.sigma, seen)
+    covariance, growth = sandwich.widened(covariance, slope, found.free)
+    model = model_at(settled.coordinates, found.held, found.model)
+    if found.inquire and (not left.like_noise or settled.sigma > 1):
+        pixels = np.asarray(seen.pixels)
+        if found.remedy is not None:
+            return covariance, growth, [*suspects, found.remedy]
+        likely = diagnostics.diagnose(found.picture, model, pixels, tangent)
+        suspects += diagnostics.named(likely)
+    return covariance, growth, suspects
+
+
+def is_a_line(picture: Picture) -> bool:
+    """Whether the picture is one line of pixels, or a few, repeated; one that is empty but for a
+    part of it is not."""
+    return bool(picture.repeats >= A_LINE)
+
+
+def _message(settled: Settled, trusted: bool, left: Misfit, a_line: bool) -> str:
+    if not trusted:
+        return (
+            f"the residual is not noise (of {settled.sigma:.2f} levels, neighbours correlated by "
+            f"{left.correlation:.2f}, tails of {left.tails:.1f} where noise has 3): the shader, "
+            "mask or transfer may be another, or the best point was missed; try --start"
+        )
+    if a_line:
+        return (
+            "target and mask are one line of pixels, repeated: too many parameters explain it "
+            "alike; hold some with --fix"
+        )
+    if not settled.quiet:
+        return "the steps had not died down when the fit stopped; try --start near this answer"
+    return "converged"
+
+
+def _correlations(names: list[str], covariance: np.ndarray) -> dict[str, float]:
+    """Correlations above 0.1 in size, largest first."""
+    size = np.sqrt(np.diag(covariance))
+    pairs = {
+        f"{names[i]},{names[j]}": float(covariance[i, j] / (size[i] * size[j]))
+        for i in range(len(names))
+        for j in range(i + 1, len(names))
+        if np.isfinite(covariance[i, j]) and size[i] > 0 and size[j] > 0
+    }
+    ordered = sorted(pairs.items(), key=lambda item: -abs(item[1]))
+    return {pair: value for pair, value in ordered if abs(value) > 0.1}

@@ -1,0 +1,64 @@
+"""Merged: fewer taps, each for a stretch of the ray.
+
+Neighbouring taps read nearly the same, so ceil(K/m) taps stand for K. They are geometric taps
+themselves, with weights and places such that the sum of the weights and their centroid over the ray
+are those of all K taps: the ends of the ray are corrected for, where a plain change of (decay,
+weight, samples; Mitchell, GPU Gems 3, ch. 13) is off by a tap's length.
+
+Cost: that of the exact sum over m. Error: banding, which falls as m/K on hard edges and as its
+square on soft masks. Derivatives are those of the merged sum, but for how the lag moves with the
+ratio: of 40 taps that is a thousandth of the derivative by the ratio for m = 2, and up to a
+twenty-fifth for m = 8.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from godfit.scattering.radial.derivatives import along_the_ray
+from godfit.scattering.radial.exact import exact
+from godfit.scattering.taps import Taps
+
+
+def merge(taps: Taps, m: int) -> Taps:
+    """ceil(count/m) taps for ``taps``: of the same total and the same centroid over the ray."""
+    count = -(-taps.count // m)
+    if count == taps.count:
+        return taps
+    stretch = taps.count / count
+    # stretch > 1: the power and its derivative are finite at ratio 0, and nothing is divided by
+    # 1 - ratio.
+    ratio = jnp.asarray(taps.ratio) ** stretch
+    total, centroid = _moments(taps.ratio, taps.count)
+    total_merged, centroid_merged = _moments(ratio, count)
+    return Taps(
+        own=taps.own,
+        first=taps.first * total / total_merged,
+        ratio=ratio,
+        step=taps.step * stretch,
+        count=count,
+        unit=taps.unit,
+        lag=centroid_merged - (centroid - taps.lag) / stretch,
+    )
+
+
+def _moments(ratio, count: int):
+    """Sum of the weights ratio^(k-1), and the mean of k under them."""
+    k = jnp.arange(1, count + 1)
+    weight = jnp.asarray(ratio) ** (k - 1)
+    total = weight.sum()
+    return total, (weight * k).sum() / total
+
+
+def merged(
+    mask: Float[Array, "h w"],
+    light: Float[Array, "2"],
+    taps: Taps,
+    at: Float[Array, "*points 2"] | None,
+    *,
+    m: int,
+) -> Float[Array, "*points"]:
+    """See ``godfit.scattering.radial.radial_sum``; ``m`` taps become one."""
+    along_the_ray(taps)
+    return exact(mask, light, merge(taps, m), at)

@@ -1,0 +1,62 @@
+"""Every method by its name, and the function that picks one."""
+
+from __future__ import annotations
+
+import functools
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from godfit.scattering.radial.exact import EXACT, Method, fastest
+from godfit.scattering.radial.gauss import gauss
+from godfit.scattering.radial.low_resolution import coarse
+from godfit.scattering.radial.merged_taps import merged
+from godfit.scattering.radial.polar import polar
+from godfit.scattering.taps import Taps
+
+METHODS: dict[str, Method] = EXACT | {
+    **{f"merged/{m}": functools.partial(merged, m=m) for m in (2, 4, 8)},
+    "half": functools.partial(coarse, cell=2),
+    "quarter": functools.partial(coarse, cell=4),
+    "polar": polar,
+    **{f"gauss/{nodes}": functools.partial(gauss, nodes=nodes) for nodes in (16, 32)},
+}
+
+
+def radial_sum(
+    mask: Float[Array, "h w"] | Float[Array, "h w c"],
+    light: Float[Array, "2"],
+    taps: Taps,
+    *,
+    at: Float[Array, "*points 2"] | None = None,
+    method: str = "auto",
+) -> Float[Array, "..."]:
+    """Evaluate the radial sum of ``mask``.
+
+    **Arguments:**
+
+    - `mask`: occlusion mask, (h, w) or (h, w, channels), row 0 at the top; read bilinearly, clamped
+      to its edge.
+    - `light`: (u, v) of the light in texture coordinates, on or off the image.
+    - `taps`: where the taps lie and what they weigh.
+    - `at`: (..., 2) columns and rows to evaluate at, in pixels of the mask (whole numbers are pixel
+      centres, so that these are met exactly); by default every pixel.
+    - `method`: a key of `METHODS`, or `"auto"`: the fastest exact one that serves these taps.
+
+    **Returns:** values shaped like `at` without its last axis ((h, w) by default), then channels.
+
+    Differentiable in `mask`, `light` and `taps`, forward and reverse. Raises ValueError for an
+    unknown method or one that cannot serve these taps.
+    """
+    if method == "auto":
+        method = fastest(taps)
+    if method not in METHODS:
+        raise ValueError(f"method: expected auto or one of {', '.join(METHODS)}, got '{method}'")
+    evaluate = METHODS[method]
+    light = jnp.asarray(light, mask.dtype)
+    taps = jax.tree.map(lambda z: jnp.asarray(z, mask.dtype), taps)
+    if mask.ndim == 2:
+        return evaluate(mask, light, taps, at)
+    channels = [evaluate(mask[..., c], light, taps, at) for c in range(mask.shape[-1])]
+    return jnp.stack(channels, axis=-1)

@@ -1,0 +1,198 @@
+"""Shader conventions: (exposure, decay, density, weight, samples) -> taps.
+
+Every god-ray shader in use evaluates, for a pixel x and a light l in texture coordinates,
+
+    out(x) = c_0 M(x) + sum_{k=1..K} c_k M(x + t_k (l - x))
+
+with its own c and t (Mitchell, GPU Gems 3, ch. 13, listing 13-1, and its descendants). In all of
+them c_k is a geometric and t_k an arithmetic sequence, so five numbers say everything: that is
+what makes four sums enough for every derivative (see ``godfit.scattering.radial``).
+"""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass, field
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from godfit.errors import InputError
+
+Scalar = Float[Array, ""] | float
+
+
+class Taps(eqx.Module):
+    """Taps c_k = first * ratio**(k-1) at t_k = (k - lag) * step for k = 1..count, and c_0 = own at
+    t_0 = 0. No shader has a lag; taps that stand for several do.
+
+    ``unit`` says what ``step`` is measured in: ``"ray"`` is a fraction of the way from the pixel
+    to the light (0 at the pixel, 1 at the light); ``"uv"`` is a distance in texture coordinates,
+    and there taps beyond the light count nothing.
+    """
+
+    own: Scalar
+    first: Scalar
+    ratio: Scalar
+    step: Scalar
+    count: int = eqx.field(static=True)
+    unit: Literal["ray", "uv"] = eqx.field(static=True, default="ray")
+    lag: Scalar = 0.0
+
+    @property
+    def c(self) -> Float[Array, " count"]:
+        """Weights c_1..c_K."""
+        return self.first * jnp.asarray(self.ratio) ** jnp.arange(self.count)
+
+    @property
+    def t(self) -> Float[Array, " count"]:
+        """Positions t_1..t_K in ``unit``."""
+        return jnp.asarray(self.step) * (jnp.arange(1, self.count + 1) - self.lag)
+
+    @property
+    def total(self) -> Float[Array, ""]:
+        """c_0 + sum c_k: what the sum makes of a mask that is 1 everywhere."""
+        return self.own + self.c.sum()
+
+
+def average(samples: int) -> Taps:
+    """The mean of ``samples`` equal steps from the pixel to the light: of a mask that is 1 where
+    the sky is seen it makes 1 - D, the share of the ray that nothing occludes (Mitchell, GPU Gems
+    3, ch. 13, equation 3)."""
+    return Taps(0.0, 1 / samples, 1.0, 1 / samples, samples)
+
+
+@dataclass(frozen=True)
+class Convention:
+    """What one shader does with its parameters.
+
+    Most are E g (own M + w sum_{i=1..n-drop} d^(i-order) M_i). A ``box`` convention runs a pass of
+    equal weights for each of its steps (in texture coordinates) on 1 - M, one after another, and
+    shows E (1 - result). ``blend`` is how the light pass L goes onto the background B: ``"add"`` is
+    background_gain * B + L, ``"screen"`` is B + L - B L.
+    """
+
+    name: str
+    formula: str
+    own: float = 1.0
+    drop: int = 0
+    order: int = 1
+    gain: float = 1.0
+    box: tuple[float, ...] = ()
+    defaults: dict[str, float] = field(default_factory=dict)
+    blend: Literal["add", "screen"] = "add"
+    background_gain: float = 1.0
+    remarks: str = ""
+
+    def taps(
+        self, exposure: Scalar, decay: Scalar, density: Scalar, weight: Scalar, samples: int
+    ) -> tuple[Taps, ...]:
+        """The taps of each pass. Those of a ``box`` convention do not hold the exposure."""
+        if self.box:
+            return tuple(Taps(1 / 6, 1 / 6, 1.0, step, 5, "uv") for step in self.box)
+        scale = self.gain * jnp.asarray(exposure)
+        first = scale * weight * jnp.asarray(decay) ** (1 - self.order)
+        return (Taps(self.own * scale, first, decay, density / samples, samples - self.drop),)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Those of exposure, decay, density and weight that it uses."""
+        return ("exposure",) if self.box else ("exposure", "decay", "density", "weight")
+
+    @property
+    def samples(self) -> int:
+        """The shader's own number of samples (100 where none was published)."""
+        return int(self.defaults.get("samples", 100))
+
+    @property
+    def own_pixel(self) -> bool:
+        """Whether the pixel's own value is shown: if not, only exposure*weight matters."""
+        return self.own != 0
+
+
+def _defaults(exposure: float, decay: float, density: float, weight: float, samples: int):
+    return {
+        "exposure": exposure,
+        "decay": decay,
+        "density": density,
+        "weight": weight,
+        "samples": samples,
+    }
+
+
+CONVENTIONS: dict[str, Convention] = {
+    c.name: c
+    for c in (
+        Convention(
+            "mitchell",
+            "B + E (M + w sum_{i=1..n} d^(i-1) M_i)",
+            remarks="GPU Gems 3, ch. 13; no defaults published, 100 samples assumed",
+        ),
+        Convention(
+            "dawntime",
+            "B + E (M + w sum_{i=1..n-1} d^i M_i)",
+            drop=1,
+            order=0,
+            defaults=_defaults(0.05, 0.99, 0.8, 0.8, 200),
+            remarks="decay before use; light pass at half resolution by default",
+        ),
+        Convention(
+            "vesper",
+            "B + E (M + w sum_{i=1..n-1} d^(i-1) M_i)",
+            drop=1,
+            defaults=_defaults(0.05, 0.99, 0.8, 0.8, 150),
+            remarks="decay after use; light pass at half resolution by default",
+        ),
+        Convention(
+            "article-glsl",
+            "1.1 B + .4 E (M + w sum_{i=1..n} d^(i-1) M_i)",
+            gain=0.4,
+            defaults=_defaults(0.2, 0.96815, 0.926, 0.58767, 100),
+            background_gain=1.1,
+        ),
+        Convention(
+            "article-hlsl",
+            "1.1 B + .4 E (M + w sum_{i=1..n} d^(i-1) M_i)",
+            gain=0.4,
+            defaults=_defaults(0.92, 0.97815, 0.966, 0.58767, 100),
+            background_gain=1.1,
+        ),
+        Convention(
+            "babylon",
+            "1.1 B + .4 E (M + w sum_{i=1..n} d^(i-1) M_i)",
+            gain=0.4,
+            defaults=_defaults(0.3, 0.96815, 0.926, 0.58767, 100),
+            background_gain=1.1,
+            remarks="VolumetricLightScatteringPostProcess",
+        ),
+        Convention(
+            "pmndrs",
+            "screen(B, E w sum_{i=1..n} d^(i-1) M_i)",
+            own=0.0,
+            defaults=_defaults(0.6, 0.9, 0.96, 0.4, 60),
+            blend="screen",
+            remarks="GodRaysEffect; no own-pixel tap: only exposure*weight is determined",
+        ),
+        Convention(
+            "three",
+            "B + E (1 - box_3 box_2 box_1 (1 - M)), box_p: 6 taps, step 6^-p",
+            box=(6.0**-1, 6.0**-2, 6.0**-3),
+            defaults={"exposure": 0.69, "samples": 18},
+            remarks="Sousa, CryEngine 2; no decay, density or weight",
+        ),
+    )
+}
+
+
+def convention(name: str) -> Convention:
+    """The convention called ``name``. Raises InputError naming the nearest for an unknown one."""
+    try:
+        return CONVENTIONS[name]
+    except KeyError:
+        near = difflib.get_close_matches(name, CONVENTIONS, n=1, cutoff=0.0)
+        raise InputError(
+            f"shader: expected one of {', '.join(CONVENTIONS)}, got '{name}'; "
+            f"did you mean '{near[0]}'?"
+        ) from None

@@ -1,0 +1,236 @@
+"""Which way the edge pixels of a mask fall: the target decides.
+
+A mask drawn without anti-aliasing has, in every edge pixel, the colour of the pixel's centre, and
+where an edge passes near to the centre another renderer may take the other side: vertices are
+snapped to a fraction of a pixel, spheres are polygons. Few pixels are in doubt, but each throws a
+streak across the picture, which no other parameter explains. The light pass is linear in the mask,
+so that the residual, seen as a sum of such streaks, says what the mask held (least squares over the
+edge pixels, one unknown for each).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+from scipy import sparse
+
+from godfit import request as inputs
+from godfit.inference.observation import LEVELS, Picture
+from godfit.inference.solver import linearise, solve
+from godfit.io.filters import shrink
+from godfit.models.mitchell import Mitchell
+from godfit.scattering.radial.coordinates import to_pixels
+from godfit.scenes.scene import Scene
+from godfit.search import density_minima
+from godfit.search.multigrid import climb
+
+ROUNDS = 4
+TRIMS = 4
+PIXELS = 8192
+# Levels that rounding leaves.
+LEAST_NOISE = 0.3
+# Levels that an edge pixel is off by at least where the mask is of the wrong kind.
+MUCH = 1.0
+# Log-odds against a pixel falling the other way, and the share of a pixel by which renderers
+# disagree about where an edge is.
+RARE, TOLERANCE = 3.0, 0.05
+# An edge pixel whose other colour has less of it than this is not in doubt.
+LEAST_SHARE = 0.1
+# Taps that read from so near the light (as a share of the ray) say nothing of single texels.
+NEAR_LIGHT = 0.05
+
+
+def agreed(
+    picture: Picture,
+    scene: Scene,
+    model: Mitchell,
+    begun: list[np.ndarray],
+    free: np.ndarray,
+    held: np.ndarray,
+    seed: int,
+) -> Picture:
+    """The picture with the scene's mask as the target has it: anti-aliased, or hard with the edge
+    pixels on the side that the target says. ``picture`` has the hard mask."""
+    if not free.any():
+        return picture
+    point = climb(picture.small, model, begun, free, held, seed, lambda text: None).coordinates
+    smooth = dataclasses.replace(picture, mask=inputs.drawn(scene, True))
+    z = _sharp(picture, model, point, free, held, seed)
+    if scene.antialias is None:
+        soft = _sharp(smooth, model, point, free, held, seed)
+        hard_off, soft_off = (
+            np.abs(_residual(mask, model, at, held)).max(-1)
+            for mask, at in ((picture, z), (smooth, soft))
+        )
+        # The wrong mask is off at every edge pixel, the right one at the doubtful few.
+        much = max(4 * min(float(np.median(hard_off)), float(np.median(soft_off))), MUCH)
+        if np.count_nonzero(soft_off > much) < np.count_nonzero(hard_off > much):
+            return smooth
+    if model.convention.box:
+        return picture
+    doubt = _Doubt.of(np.atleast_3d(picture.mask), np.atleast_3d(smooth.mask))
+    for _ in range(ROUNDS):
+        z, _ = _off_streaks(picture, model, z, free, held, seed)
+        mask = doubt.settled(picture, model, z, free, held).reshape(picture.mask.shape)
+        if (mask == picture.mask).all():
+            break
+        picture = dataclasses.replace(picture, mask=mask)
+    return picture
+
+
+def _sharp(
+    picture: Picture, model: Mitchell, z: np.ndarray, free: np.ndarray, held: np.ndarray, seed: int
+) -> np.ndarray:
+    """Coordinates in the right dip of density, by the pixels that no streak crosses."""
+    z, like_most = _off_streaks(picture, model, z, free, held, seed)
+    trimmed = dataclasses.replace(picture, valid=picture.valid & like_most)
+    return density_minima.on_subset(trimmed, model, z, free, held, seed, lambda text: None)[0]
+
+
+def _off_streaks(
+    picture: Picture, model: Mitchell, z: np.ndarray, free: np.ndarray, held: np.ndarray, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates from pixels that no streak crosses, those whose residual is like most; and
+    (h, w) which these are."""
+    pixels = picture.informative(PIXELS, seed)
+    like_most = picture.valid
+    for _ in range(TRIMS):
+        off = np.abs(_residual(picture, model, z, held)).max(-1)
+        like_most = off <= max(4 * float(np.median(off.reshape(-1)[pixels])), 2 * LEAST_NOISE)
+        kept = pixels[like_most.reshape(-1)[pixels]]
+        # As many as before, so that nothing is compiled anew.
+        seen = picture.observe(np.sort(np.resize(kept, len(pixels))))
+        z = solve(z, free, held, model, seen, LEAST_NOISE).coordinates
+    return z, like_most
+
+
+def _residual(picture: Picture, model: Mitchell, z: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """(h, w, c) target minus fitted in levels, 0 where it says nothing."""
+    fitted = picture.rendered(model.moved(jnp.asarray(z), jnp.asarray(held)))
+    known = picture.valid & ~picture.clipped
+    return np.where(known[..., None], picture.levels - fitted, 0.0)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Doubt:
+    """Edge pixels in doubt, (k,) rows and columns of the ``hard`` mask (h, w, c), what each would
+    change by (k, c) if it fell the other way, and the share of it that has that colour."""
+
+    hard: np.ndarray
+    rows: np.ndarray
+    columns: np.ndarray
+    change: np.ndarray
+    share: np.ndarray
+
+    @staticmethod
+    def of(hard: np.ndarray, smooth: np.ndarray) -> _Doubt:
+        """Of the neighbours' colours, the one that most of the rest of the pixel has."""
+        rows, columns = np.nonzero((smooth != hard).any(-1))
+        h, w = hard.shape[:2]
+        here, mean = hard[rows, columns], smooth[rows, columns]
+        change, most = np.zeros_like(here), np.zeros(len(here))
+        for i in (-1, 0, 1):
+            for j in (-1, 0, 1):
+                other = hard[np.clip(rows + i, 0, h - 1), np.clip(columns + j, 0, w - 1)] - here
+                square = (other**2).sum(-1)
+                share = ((mean - here) * other).sum(-1) / np.where(square > 0, square, 1)
+                # More than all of it: a third colour, further away, is in the pixel.
+                closer = (square > 0) & (share > most) & (share <= 1)
+                change, most = (
+                    np.where(closer[:, None], other, change),
+                    np.where(closer, share, most),
+                )
+        keep = most > LEAST_SHARE
+        return _Doubt(hard, rows[keep], columns[keep], change[keep], most[keep])
+
+    def settled(
+        self, picture: Picture, model: Mitchell, z: np.ndarray, free: np.ndarray, held: np.ndarray
+    ) -> np.ndarray:
+        """The mask (h, w, c) with every pixel in doubt on the side that the residual asks for."""
+        fitted = model.moved(jnp.asarray(z), jnp.asarray(held))
+        residual = _residual(picture, model, z, held)
+        channels, size = residual.shape[-1], self.hard.shape[:2]
+        # Where the target or the picture is clipped, streaks are not to be seen.
+        seen = picture.valid & ~picture.clipped
+        seen &= (picture.rendered(fitted) < LEVELS).all(-1)
+        seen = shrink(seen.astype(np.float32), size).reshape(-1, 1) == 1
+        residual = np.where(seen, shrink(residual, size).reshape(-1, channels), 0.0)
+        streaks = sparse.csr_array(self._streaks(fitted) * seen)
+        now = np.atleast_3d(picture.mask)[self.rows, self.columns]
+        taken = ((now - self.hard[self.rows, self.columns]) * self.change).sum(-1)
+        taken = taken / (self.change**2).sum(-1)
+        # What the residual would be if no pixel had fallen the other way.
+        residual = residual + streaks @ (taken[:, None] * self.change)
+        noise = max(LEAST_NOISE, 1.5 * float(np.median(np.abs(residual))))
+        gram = (streaks.T @ streaks).toarray() * (self.change @ self.change.T)
+        pull = ((streaks.T @ residual) * self.change).sum(-1)
+        # The other parameters give way: what they can explain is no streak.
+        slopes = self._slopes(picture, model, z, free, held) * seen[..., None]
+        cross = np.einsum("kcp,kc->kp", self._gather(streaks, slopes), self.change)
+        inner = np.einsum("mcp,mcq->pq", slopes, slopes)
+        give = np.linalg.lstsq(inner, cross.T, rcond=1e-6)[0]
+        gram -= cross @ give
+        pull -= np.einsum("mcp,mc->p", slopes, residual) @ give
+        # Before it is looked at, a pixel has not fallen, give or take one half.
+        part = np.linalg.solve(gram + 4 * noise**2 * np.eye(len(pull)), pull)
+        evidence = (2 * part - 1) * np.diag(gram) / (2 * noise**2)
+        fallen = evidence > RARE + (1 - 2 * self.share) / (2 * TOLERANCE)
+        mask = self.hard.copy()
+        mask[self.rows, self.columns] += fallen[:, None] * self.change
+        return mask
+
+    @staticmethod
+    def _gather(streaks: sparse.csr_array, slopes: np.ndarray) -> np.ndarray:
+        """(k, c, p) inner products of every streak with every slope."""
+        flat = streaks.T @ slopes.reshape(len(slopes), -1)
+        return flat.reshape(-1, *slopes.shape[1:])
+
+    def _slopes(
+        self, picture: Picture, model: Mitchell, z: np.ndarray, free: np.ndarray, held: np.ndarray
+    ) -> np.ndarray:
+        """(h w, c, p) derivatives of the light pass's pixels by the free coordinates, scaled."""
+        everywhere = picture.observe(np.arange(picture.size[0] * picture.size[1]))
+        slopes = np.asarray(linearise(z, held, model.scales(z), model, everywhere)[1])[free].T
+        slopes = slopes.reshape(*picture.size, -1)
+        slopes = shrink(slopes, self.hard.shape[:2])
+        return slopes.reshape(-1, picture.channels, int(free.sum())).astype(np.float64)
+
+    def _streaks(self, model: Mitchell) -> sparse.csr_array:
+        """(h w, k) levels that each pixel of the light pass gains with a unit of each texel."""
+        h, w = self.hard.shape[:2]
+        entries = []
+        texels = np.arange(len(self.rows))
+        for light in model.light:
+            light_x, light_y = (float(z) for z in to_pixels(light, h, w))
+            for t, weight in _weights(model):
+                # Pixels that read texel p at t lie within one texel of (p - t light) / (1 - t).
+                x, y = (
+                    (p - t * centre) / (1 - t)
+                    for p, centre in ((self.columns, light_x), (self.rows, light_y))
+                )
+                reach = int(np.ceil(1 / (1 - t)))
+                steps = np.arange(-reach, reach + 1)
+                column = (np.round(x)[:, None, None] + steps[None, None, :]).astype(int)
+                row = (np.round(y)[:, None, None] + steps[None, :, None]).astype(int)
+                part = np.maximum(0, 1 - (1 - t) * np.abs(column - x[:, None, None]))
+                part = part * np.maximum(0, 1 - (1 - t) * np.abs(row - y[:, None, None]))
+                inside = (part > 0) & (column >= 0) & (column < w) & (row >= 0) & (row < h)
+                which = np.broadcast_to(texels[:, None, None], part.shape)[inside]
+                entries.append((weight * part[inside], (row * w + column)[inside], which))
+        values, pixels, which = (np.concatenate(z) for z in zip(*entries, strict=True))
+        shape = (h * w, len(texels))
+        return sparse.csr_array(sparse.coo_array((LEVELS * values, (pixels, which)), shape=shape))
+
+
+def _weights(model: Mitchell):
+    """(t, weight) of every tap, the pixel's own among them."""
+    (taps,) = model.convention.taps(
+        model.exposure, model.decay, model.density, model.weight, model.samples
+    )
+    yield 0.0, float(taps.own)
+    for k in range(1, taps.count + 1):
+        t = k * float(taps.step)
+        if t < 1 - NEAR_LIGHT:
+            yield t, float(taps.first) * float(taps.ratio) ** (k - 1)

@@ -1,0 +1,121 @@
+"""Starting points for Hoffman-Preetham: a coarse look, as ``screen.py`` has for Mitchell's sum.
+
+Every combination of a grid of suns, turbidities, lobes and optical depths is tried on a few hundred
+pixels; the sun's irradiance enters linearly and is solved for exactly.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+from scipy import ndimage
+
+from godfit.inference.observation import LEVELS, Picture
+from godfit.io.filters import grey, shrink
+from godfit.io.image import decode
+from godfit.models.atmosphere import zenith_angle
+from godfit.models.hoffman_preetham import LEAST_DEPTH, HoffmanPreetham
+from godfit.search.screening import SIZE, apart, light_grid, places_for, read_rays
+
+POINTS = 256
+TURBIDITIES, LOBES, DEPTHS = (1.3, 2.5, 6.0), (0.0, 0.5, 0.75, 0.9), (0.05, 0.4, 1.2, 3.0)
+
+
+@eqx.filter_jit
+def _solve(
+    model: HoffmanPreetham,
+    suns: Float[Array, "suns 2"],
+    shapes: Float[Array, "shapes 3"],
+    lit: Float[Array, "suns points"],
+    distance: Float[Array, " points"],
+    direction: Float[Array, "points 3"],
+    surface: Float[Array, "points 3"],
+    target: Float[Array, "points 3"],
+    weight: Float[Array, " points"],
+    aspect: float,
+):
+    """Gain, not negative, and cost for every sun and shape (depth, turbidity, g)."""
+    up, trust = model.view.up, weight[:, None]
+
+    def one(sun_lit):
+        sun, lit = sun_lit
+        ahead = model.view.direction(sun[0], sun[1], aspect)
+        cos, zenith = direction @ ahead, zenith_angle(ahead, up)
+
+        def shape(z):
+            air = model.moved(jnp.concatenate([jnp.ones(1, z.dtype), z, sun])).air
+            added = lit[:, None] * air.inscattered(distance, cos, zenith)
+            left = target - lit[:, None] * surface * air.transmitted(distance)
+            along, size = (trust * added * left).sum(), (trust * added**2).sum()
+            gain = jnp.maximum(along, 0) / jnp.maximum(size, 1e-12)
+            return gain, (trust * (left - gain * added) ** 2).sum()
+
+        return jax.vmap(shape)(shapes)
+
+    return lax.map(one, (suns, lit))
+
+
+def starts(
+    picture: Picture, model: HoffmanPreetham, given: dict[str, float], *, keep: int, seed: int
+) -> list[np.ndarray]:
+    """The ``keep`` best starting points in the model's coordinates, best first; see
+    ``screen.starts``."""
+    light = np.asarray(decode(picture.levels / np.float32(LEVELS), picture.transfer))
+    target = shrink(light, (SIZE, SIZE))
+    trust = shrink((picture.valid & ~picture.clipped).astype(np.float32), (SIZE, SIZE)) > 0.99
+    mask = shrink(grey(picture.mask), (SIZE, SIZE))
+    h, w = target.shape[:2]
+    chosen = np.random.default_rng(seed).permutation(h * w)[:POINTS]
+    at = np.stack(
+        [
+            (chosen % w + 0.5) * mask.shape[1] / w - 0.5,
+            (chosen // w + 0.5) * mask.shape[0] / h - 0.5,
+        ],
+        -1,
+    ).astype(np.float32)
+    surface = np.zeros((len(chosen), 3), np.float32)
+    if picture.background is not None:
+        surface = surface + shrink(picture.background, (SIZE, SIZE)).reshape(h * w, -1)[chosen]
+    suns, _ = places_for(light_grid(target.mean(-1), seed), given, 1)
+    fine = ndimage.zoom(mask, 2, order=1, mode="nearest", grid_mode=True)
+    lit = read_rays(jnp.asarray(fine), jnp.asarray(suns), jnp.asarray(at)).mean(1)
+    shapes = _shapes(model, given)
+    distance, direction = model.view.seen((h, w), jnp.asarray(chosen))
+    gain, cost = _solve(
+        model, jnp.asarray(suns), jnp.asarray(shapes), lit, distance, direction,
+        jnp.asarray(surface), jnp.asarray(target.reshape(h * w, -1)[chosen]),
+        jnp.asarray(trust.ravel()[chosen].astype(np.float32)),
+        picture.size[1] / picture.size[0],
+    )  # fmt: skip
+    gain, cost = np.asarray(gain), np.asarray(cost)
+    held = np.array([given.get(name, np.nan) for name in model.parameters], np.float32)
+    found = []
+    for i, j in apart(cost, suns, shapes[:, 1:], keep):
+        z = np.array([max(gain[i, j], 1e-4), *shapes[j], *suns[i]], np.float32)
+        z = np.asarray(model.moved(jnp.asarray(z), jnp.asarray(held)).coordinates(), np.float32)
+        found.append(z)
+    return found
+
+
+def _shapes(model: HoffmanPreetham, given: dict[str, float]) -> np.ndarray:
+    """(shapes, 3) depth, turbidity, g."""
+    turbidities = (given["turbidity"],) if "turbidity" in given else TURBIDITIES
+    lobes = (given["g"],) if "g" in given else LOBES
+    shapes = []
+    for turbidity, g in itertools.product(turbidities, lobes):
+        depths = DEPTHS
+        if "scale" in given:
+            here = eqx.tree_at(
+                lambda m: (m.air.turbidity, m.air.scale),
+                model,
+                (jnp.float32(turbidity), jnp.float32(given["scale"])),
+            )
+            depths = (max(float(here.coordinates()[1]), LEAST_DEPTH),)
+        shapes += [(depth, turbidity, g) for depth in depths]
+    return np.array(shapes, np.float32)

@@ -1,0 +1,324 @@
+"""Several frames of one clip: the shader's parameters are the same in all, light and occluders are
+each frame's own.
+
+Frames are taken one after another and fitted alone, as pictures that come with nothing, each looked
+for, too, near the shader of the frame so far that was explained best; of each only its answer and
+covariance are kept, so that memory does not grow with their number. What they say of the shader is
+pooled number by number, see ``pooling.py``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import time
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+import jax
+import numpy as np
+
+from godfit import request as inputs
+from godfit.blind import unaided
+from godfit.errors import InputError
+from godfit.inference.estimates import estimates
+from godfit.io.filters import shrink
+from godfit.io.image import Image
+from godfit.models.disc_light import DiscLight
+from godfit.models.mitchell import FAINTEST, AbstractModel, Vector
+from godfit.report.result import Estimate
+from godfit.report.verdict import Found, spread
+from godfit.request import Source
+from godfit.runtime.program_cache import kept
+from godfit.scattering.parameters import SCATTERING
+from godfit.studies.pooling import Pool, pooled
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SHARED = len(SCATTERING)
+# Longest side of the copy of a frame that the report shows.
+SHOWN = 640
+TOO_FEW = "only {} of {} frames agree on the shader; look at their own fits, one by one"
+LEFT_OUT = "{} of {} frames are left out, as they do not agree with the others"
+SCATTERED = "frames scatter {:.2g} times as much as they quote; errors are widened by that"
+
+
+class Frame(NamedTuple):
+    """What one frame alone says: its ``light`` (2,) with standard errors ``error`` (2,) and
+    ``params`` of the scattering; ``message`` says why it is left out, "" where it is not.
+    ``combined`` is as in ``FitResult``."""
+
+    name: str
+    light: np.ndarray
+    error: np.ndarray
+    params: dict[str, Estimate]
+    combined: dict[str, Estimate]
+    message: str
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ClipResult:
+    """What a clip says: ``params`` of the shader with their ``covariance`` (6, 6; NaN where held,
+    open, or a light's), ``frames`` in their order, ``shown`` (h, w, 3) a small copy of the
+    first."""
+
+    converged: bool
+    message: str
+    model: AbstractModel
+    params: dict[str, Estimate]
+    combined: dict[str, Estimate]
+    covariance: np.ndarray
+    frames: tuple[Frame, ...]
+    undetermined: tuple[str, ...]
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    timing_s: dict[str, float]
+    shown: np.ndarray
+
+    def summary(self) -> str:
+        """The table that the command line prints, as plain text."""
+        from godfit.report.clip import summary
+
+        return summary(self)
+
+    def plot(self) -> Figure:
+        """A matplotlib figure: the light's path, and what each frame says of the shader."""
+        from godfit.report.clip import plot
+
+        return plot(self)
+
+    def save(self, folder: str | os.PathLike[str]) -> None:
+        """Write fit.json and fit.png into ``folder``; raises OSError."""
+        from godfit.report.clip import save
+
+        save(self, folder)
+
+
+class _Answer(NamedTuple):
+    """Of one frame alone: coordinates ``at`` (6,) of scattering and light, their ``covariance``
+    (6, 6), zero for those that are held, ``open_`` as in ``Found``, and the ``noise`` that is left,
+    in levels."""
+
+    name: str
+    at: np.ndarray
+    covariance: np.ndarray
+    open_: list[tuple[int, list[int]]]
+    message: str
+    noise: float
+
+    @property
+    def told(self) -> np.ndarray:
+        """(4,) what of the scattering it tells."""
+        told = (np.diag(self.covariance)[:SHARED] > 0) & (not self.message)
+        told[[index for index, _ in self.open_]] = False
+        return told
+
+
+def fit_clip(
+    frames: Iterable[Source],
+    *,
+    shader: str | None = None,
+    samples: int | None = None,
+    pass_scale: float | None = None,
+    valid: np.ndarray | None = None,
+    fix: Mapping[str, float | None] | None = None,
+    start: Mapping[str, float] | None = None,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> ClipResult:
+    """Fit one shader, and a light for each frame, to several finished pictures.
+
+    **Arguments:** as of ``godfit.fit``. `frames` are taken one at a time, so that a generator will
+    do; `valid` (h, w) holds for all of them; of a `pass_scale` that is not given each is asked.
+
+    **Returns:** a `ClipResult`. Raises `InputError`, a ValueError of one line, for frames that
+    cannot be read, and for fewer than two.
+    """
+    began = time.perf_counter()
+    shading = inputs.template(shader or "mitchell", samples, 1)
+    fix, start, say = fix or {}, start or {}, progress or (lambda text: None)
+    answers: list[_Answer] = []
+    notes: list[str] = []
+    warnings: list[str] = []
+    shown = np.zeros((0, 0, 3))
+    with jax.enable_x64(False):
+        held = inputs.parameters(shading, fix, start)[1]
+        for source in frames:
+            image = inputs.image(source, "none")
+            count = len(answers) + 1
+            name = image.path or f"frame {count}"
+            _check_size(name, image, valid)
+            found, said = unaided.found_in(
+                image, shading, valid, None, pass_scale, fix, start, seed,
+                lambda text, at=count: say(f"frame {at}: {text}"), _so_far(answers),
+            )  # fmt: skip
+            notes += [f"{name}: {note}" for note in (*image.notes, *said)]
+            warnings += found.remarks
+            answers.append(_answer(name, found))
+            if count == 1:
+                shown = _small(image)
+        if len(answers) < 2:
+            raise InputError(f"frames: expected at least two, got {len(answers)}")
+        return _concluded(
+            answers, shading, held, tuple(notes), tuple(dict.fromkeys(warnings)), shown, began
+        )
+
+
+def _check_size(name: str, image: Image, valid: np.ndarray | None) -> None:
+    if valid is not None and image.values.shape[:2] != valid.shape:
+        (h, w), (height, width) = valid.shape, image.values.shape[:2]
+        raise InputError(
+            f"{name}: expected the first frame's {w}x{h} pixels, with --ignore, got "
+            f"{width}x{height}"
+        )
+
+
+def _small(image: Image) -> np.ndarray:
+    """(h, w, 3) a copy that is as large as the report needs."""
+    values = image.encoded if image.encoded.ndim == 3 else image.encoded[..., None]
+    values = np.broadcast_to(values, (*values.shape[:2], 3))
+    factor = -(-max(values.shape[:2]) // SHOWN)
+    return shrink(values, (values.shape[0] // factor, values.shape[1] // factor))
+
+
+def _answer(name: str, found: Found) -> _Answer:
+    assert isinstance(found.model, DiscLight)
+    z, held = found.settled.coordinates, np.asarray(found.held, np.float32)
+    at, slopes = (np.asarray(a, np.float64) for a in _of_the_shader(found.model, z, held))
+    open_ = [(index, [i for i in others if i < len(at)]) for index, others in found.opened]
+    covariance = slopes @ spread(found).covariance @ slopes.T
+    return _Answer(name, at, covariance, open_, found.objection, found.settled.sigma)
+
+
+@kept
+def _of_the_shader(model: DiscLight, coordinates: Vector, held: Vector):
+    """Coordinates (6,) of scattering and light and their derivatives (6, p) by those of a picture,
+    whose gain is without the veil's share."""
+
+    def shading(z):
+        return model.moved(z, held).shading.coordinates()
+
+    return shading(coordinates), jax.jacfwd(shading)(coordinates)
+
+
+def _shared(at: np.ndarray) -> np.ndarray:
+    """(4,) of coordinates (6,) what is pooled: exposure, attenuation along the whole ray (of decay
+    alone), density, and the logarithm of gain times density (of exposure times weight alone),
+    which frames tell to within factors."""
+    exposure, kappa, density, gain = at[:SHARED]
+    return np.array([exposure, kappa * density, density, np.log(max(gain * density, FAINTEST))])
+
+
+def _slopes(at: np.ndarray) -> np.ndarray:
+    """(4, 4) derivatives of ``_shared`` by the coordinates."""
+    _, kappa, density, gain = at[:SHARED]
+    out = np.eye(SHARED)
+    out[1, 1:3] = density, kappa
+    out[3, 2:] = 1 / density, 1 / max(gain, FAINTEST)
+    return out
+
+
+def _information(answer: _Answer) -> np.ndarray:
+    """(4, 4) the inverse variances of what is shared, 0 of what is not told. How they vary together
+    is not asked: where masks are a frame's own it claims to know combinations better than it
+    does, and of frames alike, which vary alike, the mean is the same."""
+    block, slopes = answer.covariance[:SHARED, :SHARED], _slopes(answer.at)
+    variance = np.diag(slopes @ block @ slopes.T)
+    return np.diag(np.where(answer.told, 1 / np.where(answer.told, variance, 1.0), 0.0))
+
+
+def _pooled(answers: list[_Answer]) -> Pool:
+    """What frames say of the scattering together, in coordinates (4,)."""
+    pool = pooled(
+        np.stack([_shared(a.at) for a in answers]), np.stack([_information(a) for a in answers])
+    )
+    exposure, along, density, product = pool.mean
+    mean = np.array([exposure, along / density, density, np.exp(product) / density])
+    told = np.isfinite(np.diag(pool.covariance))
+    known = np.where(told[:, None] & told, pool.covariance, 0.0)
+    back = np.linalg.inv(_slopes(mean))
+    covariance = np.where(told[:, None] & told, back @ known @ back.T, 0.0)
+    covariance[~told, ~told] = np.inf
+    return pool._replace(mean=mean, covariance=covariance)
+
+
+def _so_far(answers: list[_Answer]) -> np.ndarray | None:
+    """(4,) coordinates of the scattering that the frame has of which the least is left, NaN where
+    it tells none: where the next may look for its own. What that finds there it tells alone."""
+    sound = [answer for answer in answers if not answer.message]
+    if not sound:
+        return None
+    best = min(sound, key=lambda answer: answer.noise)
+    return np.where(best.told, best.at[:SHARED], np.nan)
+
+
+def _concluded(
+    answers: list[_Answer],
+    shading: AbstractModel,
+    held: np.ndarray,
+    notes: tuple[str, ...],
+    warnings: tuple[str, ...],
+    shown: np.ndarray,
+    began: float,
+) -> ClipResult:
+    pool = _pooled(answers)
+    told = np.isfinite(np.diag(pool.covariance))
+    agrees = pool.agrees & [a.told.any() for a in answers]
+    first = answers[int(agrees.argmax())]
+    spread = np.zeros((SHARED + 2, SHARED + 2))
+    spread[:SHARED, :SHARED] = np.where(told[:, None] & told, pool.covariance, 0.0)
+    open_ = [o for o in first.open_ if not told[o[0]]]
+    held[SHARED:] = first.at[SHARED:]
+    for index, _ in open_:
+        held[index] = first.at[index]
+    free, used = np.append(told, [False, False]), np.append(shading.used[:SHARED], [False, False])
+    z = np.append(pool.mean, first.at[SHARED:])
+    result = estimates(shading, z.astype(np.float32), spread, free, held, open_, used)
+    frames = tuple(
+        Frame(
+            a.name,
+            a.at[SHARED:],
+            np.sqrt(np.diag(a.covariance)[SHARED:]),
+            *_alone(a, shading, used),
+            _why(a, bool(ok)),
+        )
+        for a, ok in zip(answers, agrees, strict=True)
+    )
+    count, whole = int(agrees.sum()), len(answers)
+    converged = count >= max(2, whole / 2)
+    if count < whole:
+        warnings += (LEFT_OUT.format(whole - count, whole),)
+    if pool.growth > 2:
+        warnings += (SCATTERED.format(np.sqrt(pool.growth)),)
+    return ClipResult(
+        converged=converged,
+        message="converged" if converged else TOO_FEW.format(count, whole),
+        model=result.model,
+        params=result.params,
+        combined=result.combined,
+        covariance=result.covariance,
+        frames=frames,
+        undetermined=result.undetermined,
+        warnings=warnings,
+        notes=notes,
+        timing_s={"solve": time.perf_counter() - began},
+        shown=shown,
+    )
+
+
+def _why(answer: _Answer, agrees: bool) -> str:
+    if answer.message or agrees:
+        return answer.message
+    return "says something else of the shader than the others"
+
+
+def _alone(answer: _Answer, shading: AbstractModel, used: np.ndarray):
+    """Parameters and products as one frame alone has them."""
+    told = np.diag(answer.covariance) > 0
+    held = np.full(len(told), np.nan)
+    for index, _ in answer.open_:
+        held[index] = answer.at[index]
+    z = answer.at.astype(np.float32)
+    found = estimates(shading, z, answer.covariance, told, held, answer.open_, used)
+    return found.params, found.combined

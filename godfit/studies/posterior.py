@@ -1,0 +1,182 @@
+"""The posterior of a fit: NUTS on the likelihood of the fitted picture.
+
+The prior is flat in the fit's coordinates inside their bounds and in the logarithm of the noise.
+The model is replaced by its tangent, which is rendered once; all values of the picture count, so
+that nothing is lost but what the tangent leaves out. Draws are made with the No-U-Turn sampler
+(Hoffman & Gelman, JMLR 15 (2014), 1593) of blackjax, in coordinates that the fit's covariance
+whitens; a bound is a mirror.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from godfit.errors import SIMULATED, InputError
+from godfit.fitting import pixels_used
+from godfit.inference.information import evidence
+from godfit.inference.likelihood import interval
+from godfit.inference.noise import SIGMAS
+from godfit.inference.repeated_values import relieved
+from godfit.inference.settle import Settled, Tangent
+from godfit.inference.solver import linearise
+from godfit.report.result import FitResult
+
+DRAWS, WARM_UP = 4000, 500
+MIDDLE = (0.025, 0.975)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Posterior:
+    """``draws`` (n, p) of the parameters ``names``, in their units; ``noise_levels`` (n,);
+    ``divergent`` is the share of steps that the sampler could not follow."""
+
+    names: tuple[str, ...]
+    draws: Float[np.ndarray, "n p"]
+    noise_levels: Float[np.ndarray, " n"]
+    divergent: float
+
+    def interval(self, name: str) -> tuple[float, float]:
+        """The middle 95% of a parameter's draws."""
+        low, high = np.quantile(self.draws[:, self.names.index(name)], MIDDLE)
+        return float(low), float(high)
+
+
+def require() -> None:
+    """Raise InputError in one line where blackjax is missing."""
+    try:
+        import blackjax  # noqa: F401
+    except ImportError:
+        raise InputError(
+            "posterior: expected blackjax, got none; pip install 'godfit[posterior]'"
+        ) from None
+
+
+def with_posterior(result: FitResult, drawn: Posterior) -> FitResult:
+    """``result`` with the middle 95% of the posterior of every parameter that is determined."""
+    params = {
+        name: e
+        if e.fixed or e.stderr is None
+        else dataclasses.replace(e, posterior=drawn.interval(name))
+        for name, e in result.params.items()
+    }
+    return dataclasses.replace(result, params=params)
+
+
+def posterior(
+    result: FitResult, *, draws: int = DRAWS, warm_up: int = WARM_UP, seed: int = 0
+) -> Posterior:
+    """Draws from the posterior about a fit. Raises InputError without blackjax, and for a fit that
+    did not converge, which has no tangent worth having."""
+    require()
+    if result.picture.foreign:
+        raise InputError("posterior: expected a fit with a mask or a scene, got neither; give one")
+    if result.simulated:
+        raise InputError(SIMULATED.format("posterior"))
+    if not result.converged:
+        raise InputError(f"posterior: expected a fit that converged, got: {result.message}")
+    with jax.enable_x64(False), jax.numpy_rank_promotion("allow"):
+        return _posterior(result, draws, warm_up, seed)
+
+
+def _posterior(result: FitResult, draws: int, warm_up: int, seed: int) -> Posterior:
+    model, picture, free = result.model, result.picture, np.asarray(result.free)
+    seen = picture.observe(pixels_used(picture, result.seed))
+    z = np.asarray(model.coordinates(), np.float32)
+    scale = model.scales(z)
+    prediction, jacobian = linearise(z, result.held, scale, model, seen)
+    tangent = Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
+    seen = relieved(seen, tangent.prediction, result.noise_levels)
+    at = evidence(Settled(z, result.noise_levels, 0.0, True), tangent, seen)
+    moving = np.flatnonzero(free)
+    covariance = at.covariance(free)[np.ix_(moving, moving)]
+    size = np.sqrt(np.diag(covariance))
+    root = size[:, None] * np.linalg.cholesky(
+        covariance / np.outer(size, size) + 1e-9 * np.eye(len(moving))
+    )
+    # Levels by whitened coordinate.
+    rows = jnp.asarray((root / scale[moving, None]).T @ tangent.jacobian[moving], jnp.float32)
+    lower, upper = ((np.asarray(b) - z)[moving] for b in model.bounds())
+    # The pixels of an upsampled pass share its texels.
+    share = float(np.prod(picture.mask.shape[:2]) / np.prod(picture.size))
+    floor = float(SIGMAS[0])
+    start = float(np.log(max(result.noise_levels, floor) / floor))
+    # What n values know the logarithm of their noise to.
+    unit = (2 * share * len(prediction)) ** -0.5
+    density = _density(prediction, rows, seen.lo, seen.hi, floor, share)
+
+    def inside(u):
+        """Steps in coordinates, mirrored at the bounds."""
+        step = jnp.asarray(root, jnp.float32) @ u
+        step = jnp.where(step < lower, 2 * lower - step, step)
+        return jnp.where(step > upper, 2 * upper - step, step)
+
+    back = jnp.asarray(np.linalg.inv(root), jnp.float32)
+    bounded = bool(np.isfinite(lower).any() or np.isfinite(upper).any())
+
+    def logdensity(point):
+        u = back @ inside(point[:-1]) if bounded else point[:-1]
+        return density(u, jnp.abs(unit * point[-1]))
+
+    import blackjax
+
+    init = jnp.zeros(len(moving) + 1, jnp.float32).at[-1].set(start / unit)
+    tune, run = jax.random.split(jax.random.key(seed))
+    adapt = blackjax.window_adaptation(blackjax.nuts, logdensity)
+    (state, found), _ = adapt.run(tune, init, num_steps=warm_up)  # pyright: ignore
+    step = blackjax.nuts(logdensity, **found).step
+
+    @jax.jit
+    def chain(state, key):
+        def one(state, key):
+            state, info = step(key, state)
+            return state, (state.position, info.is_divergent)  # pyright: ignore
+
+        return jax.lax.scan(one, state, jax.random.split(key, draws))[1]
+
+    points, divergent = chain(state, run)
+    steps = np.asarray(jax.vmap(inside)(points[:, :-1]), np.float64)
+    numbers = _parameters(result, z, moving, steps)
+    noise = floor * np.exp(np.abs(unit * np.asarray(points[:, -1], np.float64)))
+    return Posterior(tuple(model.parameters), numbers, noise, float(np.mean(divergent)))
+
+
+def _parameters(result: FitResult, z, moving: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """(n, p) parameters at steps from ``z``, by the model: the map is not straight."""
+    model = result.model
+
+    def values(step):
+        at = jnp.asarray(z).at[moving].add(step)
+        moved = model.moved(at, jnp.asarray(result.held))
+        return jnp.stack(list(moved.values().values()))
+
+    return np.asarray(jax.lax.map(values, jnp.asarray(steps, jnp.float32)), np.float64)
+
+
+def _density(prediction, rows, lo, hi, floor: float, share: float):
+    """Log-likelihood by whitened coordinates (q,) and the logarithm of the noise over ``floor``,
+    with its slopes made in the same pass over the values."""
+
+    @jax.custom_vjp
+    def density(u: Float[Array, " q"], s: Float[Array, ""]) -> Float[Array, ""]:
+        return both(u, s)[0]
+
+    def both(u, s):
+        sigma = floor * jnp.exp(s)
+        levels = prediction + u @ rows
+        pixel = interval((lo - levels) / sigma, (hi - levels) / sigma)
+        # Of points, the density: see ``likelihood.log_likelihood``.
+        log = jnp.where(lo == hi, pixel.log - jnp.log(sigma), pixel.log).sum()
+        by_u = rows @ (pixel.slope / sigma)
+        by_s = -(pixel.curvature - pixel.slope**2).sum()
+        return share * log, (share * by_u, share * by_s)
+
+    def backward(slopes, by):
+        return by * slopes[0], by * slopes[1]
+
+    density.defvjp(both, backward)
+    return density

@@ -1,0 +1,202 @@
+"""Profile likelihood: the values of one parameter that the picture does not rule out.
+
+The parameter is held at a value and all the others, the noise among them, are fitted anew; the 95%
+interval is where twice the log-likelihood has fallen by less than 3.84, the quantile of chi-squared
+(Wilks 1938; Venzon & Moolgavkar, Applied Statistics 37 (1988), 87). It need not be symmetric, and
+it ends at the parameter's own bound where the likelihood has not fallen that far, as at decay = 1.
+
+The likelihood is profiled on the model's tangent, rendered once. Where noise makes the interval so
+wide that the tangent may be wrong at its ends, they are corrected with the model itself.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from godfit.errors import SIMULATED, InputError
+from godfit.fitting import pixels_used
+from godfit.inference.information import evidence
+from godfit.inference.noise import WITHIN_ROUNDING
+from godfit.inference.observation import Observation
+from godfit.inference.repeated_values import relieved
+from godfit.inference.settle import Settled, Tangent, aim, settle
+from godfit.models.mitchell import AbstractModel, Vector
+from godfit.report.result import FitResult
+
+# The 95% quantile of chi-squared with one degree of freedom, and its root.
+QUANTILE, ROOT = 3.841459, 1.959964
+# Root of the fall in log-likelihood that an end may be off by.
+CLOSE = 0.02
+TRIES = 12
+# Likelihood is not profiled where the model's tangent is as good as the model.
+RENDERED_TRIES = 5
+
+Fall = Callable[[float], float]
+
+
+def profile(result: FitResult, name: str) -> FitResult:
+    """``result`` with the 95% profile interval of the parameter ``name``, in its own unit.
+
+    Raises InputError for a parameter that is not fitted, or not determined by the picture.
+    """
+    with jax.enable_x64(False):
+        interval = _interval(result, name)
+    params = result.params | {name: dataclasses.replace(result.params[name], interval=interval)}
+    return dataclasses.replace(result, params=params)
+
+
+def check(result: FitResult, name: str) -> None:
+    """Raise InputError for a parameter that has no interval."""
+    if result.picture.foreign:
+        raise InputError("profile: expected a fit with a mask or a scene, got neither; give one")
+    if result.simulated:
+        raise InputError(SIMULATED.format("profile"))
+    if name not in result.params:
+        raise InputError(f"profile: expected one of {', '.join(result.params)}, got '{name}'")
+    if result.params[name].fixed:
+        raise InputError(f"profile: expected a parameter that is fitted, got '{name}', held")
+    if result.params[name].stderr is None:
+        raise InputError(
+            f"profile: expected a parameter that the picture determines, got '{name}'; "
+            "hold one that it trades with (--fix)"
+        )
+
+
+def _interval(result: FitResult, name: str) -> tuple[float, float]:
+    check(result, name)
+    model, picture = result.model, result.picture
+    index = list(model.parameters).index(name)
+    row, best = model.parameters[name], result.params[name].value
+    seen = picture.observe(pixels_used(picture, result.seed))
+    # The pixels of an upsampled pass share its texels.
+    share = float(np.prod(picture.mask.shape[:2]) / np.prod(picture.size))
+    line = _Line(result, seen, index)
+    low, high = (
+        _end(line.on_tangent, best, way * line.stderr, bound, share, TRIES)
+        for way, bound in ((-1, row.lower), (1, row.upper))
+    )
+    if result.noise_levels > WITHIN_ROUNDING:
+        low, high = (
+            _end(line.rendered, best, end - best, bound, share, RENDERED_TRIES)
+            for end, bound in ((low, row.lower), (high, row.upper))
+        )
+    return low, high
+
+
+def _end(
+    likelihood: Fall, best: float, step: float, bound: float, share: float, tries: int
+) -> float:
+    """Where the log-likelihood has fallen by half of QUANTILE from its top at ``best``; ``step``
+    is a guess of how far that is, with its sign. The root of the fall is nearly a straight line."""
+    if step == 0:
+        return best
+    top = likelihood(best)
+    inner, outer = (0.0, 0.0), None
+    value = _inside(best + step, bound, step)
+    for _ in range(tries):
+        fall = 2 * share * (top - likelihood(value))
+        root = math.copysign(math.sqrt(abs(fall)), fall)
+        away = abs(value - best)
+        if abs(root - ROOT) < CLOSE or (value == bound and root < ROOT):
+            break
+        if root < ROOT:
+            inner = (away, max(root, 0.0))
+        else:
+            outer = (away, root)
+        if outer is None:
+            slope = (inner[1] or 0.3 * ROOT) / max(inner[0], 1e-30)
+            away = min(ROOT / slope, 4 * inner[0]) if inner[0] else 2 * away
+        else:
+            part = (ROOT - inner[1]) / (outer[1] - inner[1])
+            # Never all the way to either end: both must come nearer.
+            away = inner[0] + min(max(part, 0.02), 0.98) * (outer[0] - inner[0])
+        value = _inside(best + math.copysign(away, step), bound, step)
+    return value
+
+
+def _inside(value: float, bound: float, step: float) -> float:
+    return min(value, bound) if step > 0 else max(value, bound)
+
+
+@eqx.filter_jit
+def _linearise(
+    at: Vector,
+    held: Vector,
+    index: int,
+    scale: Vector,
+    model: AbstractModel,
+    seen: Observation,
+) -> tuple[Float[Array, " m"], Float[Array, "p m"]]:
+    """Levels and their derivatives by ``at`` over ``scale``, where entry ``index`` of ``at`` is
+    the parameter itself and the others are coordinates, which it leaves as they are."""
+
+    def predict(y):
+        full = y * scale
+        return seen.predict(model.moved(full, jnp.asarray(held).at[index].set(full[index])))
+
+    y = at / scale
+    move = functools.partial(jax.jvp, predict, (y,))
+    return jax.vmap(move, out_axes=(None, 0))((jnp.eye(y.shape[0], dtype=y.dtype),))
+
+
+class _Line:
+    """The best fits with one parameter held."""
+
+    def __init__(self, result: FitResult, seen: Observation, index: int) -> None:
+        self.model, self.index = result.model, index
+        self.held = result.held
+        self.others = result.free & (np.arange(len(result.free)) != index)
+        z = np.asarray(result.model.coordinates(), np.float32)
+        # decay = 0 has no finite coordinate; nothing else moves it.
+        z = np.nan_to_num(z, posinf=1e4)
+        self.best = float(list(result.model.values().values())[index])
+        scale = result.model.scales(z)
+        scale[index] = 0.1 * abs(self.best) + 1e-3
+        z[index] = self.best
+        prediction, jacobian = _linearise(z, self.held, index, scale, result.model, seen)
+        self.tangent = Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
+        self.seen = seen = relieved(seen, self.tangent.prediction, result.noise_levels)
+        self.at = Settled(z, result.noise_levels, -np.inf, True)
+        moving = self.others | (np.arange(len(z)) == index)
+        covariance = evidence(self.at, self.tangent, seen).covariance(moving)
+        variance = max(float(covariance[index, index]), 1e-24)
+        self.stderr = ROOT * math.sqrt(variance)
+        self.follow = np.where(self.others, covariance[:, index] / variance, 0.0)
+        self.found: dict[float, Settled] = {}
+
+    def _settled(self, value: float) -> Settled:
+        """On the tangent, the best fit with the parameter at ``value``."""
+        if value not in self.found:
+            z, by = self.at.coordinates, value - self.best
+            bounds = (np.asarray(b, np.float32) for b in self.model.bounds())
+            start = np.where(self.others, np.clip(z + by * self.follow, *bounds), z)
+            start[self.index] = value
+            start = start.astype(np.float32)
+            # In double precision: errors can be finer than float32 holds the value.
+            step = np.where(self.others, start.astype(np.float64) - z, 0.0)
+            step[self.index] = by
+            moved = self.tangent._replace(prediction=self.tangent.moved(step))
+            begun = self.at._replace(coordinates=start)
+            self.found[value] = aim(begun, moved, self.model, self.seen, self.others)[0]
+        return self.found[value]
+
+    def on_tangent(self, value: float) -> float:
+        """Log-likelihood, profiled on the tangent."""
+        return self._settled(value).log_likelihood
+
+    def rendered(self, value: float) -> float:
+        """Log-likelihood, profiled with the model itself."""
+        held = self.held.copy()
+        held[self.index] = value
+        start = self._settled(value).coordinates
+        settled, _ = settle(start, self.model, self.seen, self.others, held)
+        return settled.log_likelihood

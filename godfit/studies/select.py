@@ -1,0 +1,301 @@
+"""How much of a model does a picture need? The smallest that is as good as the best.
+
+Judged by Akaike's and Schwarz's criteria (Burnham & Anderson, Model Selection and Multimodel
+Inference, 2002, ch. 2) and by pixels held out: the picture is cut into blocks, one half of them
+fitted and the other predicted, and the other way round; the spread of the blocks says how sure the
+difference between two models is (Vuong, Econometrica 57 (1989), 307).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from godfit import request as inputs
+from godfit.errors import InputError
+from godfit.fitting import fit
+from godfit.inference.likelihood import log_likelihood
+from godfit.inference.noise import EXPLAINED
+from godfit.inference.observation import Observation
+from godfit.inference.solver import solve_tangent
+from godfit.models.mitchell import Mitchell
+from godfit.report.result import FitResult
+from godfit.request import Source
+from godfit.runtime.parallel import side_by_side
+from godfit.scattering.taps import CONVENTIONS
+from godfit.scenes.scene import Scene, read_scene
+from godfit.studies.ladder import VALUES, Ladder, Rung, like_noise
+
+# A difference in a criterion that leaves the lesser model little support (Burnham & Anderson 2.6).
+CLEAR = 10.0
+# Pixels a side of the blocks that are held out, and values that are enough to tell.
+BLOCK, HELD_OUT_VALUES = 16, 1 << 16
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Row:
+    """One rung judged. ``held_out`` is the log-likelihood of a value that was not fitted;
+    ``behind`` how much less that is than the best rung's, and ``behind_error`` its error."""
+
+    rung: Rung
+    rmse: float
+    aic: float
+    bic: float
+    held_out: float
+    behind: float
+    behind_error: float
+    like_noise: bool
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Selection:
+    """Rows from least to most. ``equivalent`` are shaders, with their parameters, that draw the
+    same picture as the recommended one; ``base`` is the fit of the whole shader."""
+
+    rows: tuple[Row, ...]
+    chosen: int
+    equivalent: dict[str, dict[str, float]]
+    base: FitResult
+    daylight: FitResult | None
+    seconds: float
+
+    @property
+    def recommended(self) -> Row:
+        return self.rows[self.chosen]
+
+    @property
+    def sentence(self) -> str:
+        """What the picture shows, and what it does not."""
+        row = self.recommended
+        shown = [r.rung.shows for r in self.rows[1 : self.chosen + 1] if r.rung.shows]
+        hidden = [r.rung.shows for r in self.rows[self.chosen + 1 :] if r.rung.shows]
+        said = f"'{row.rung.name}' is enough: "
+        said += f"the picture shows {_joined(shown)}" if shown else "the picture shows no rays"
+        if hidden:
+            said += f"; it does not show {_joined(hidden, 'or')}"
+        if not row.like_noise:
+            said += f"; no rung leaves only noise ({row.rmse:.2f} levels rms are left)"
+        if self.daylight is not None and self.prefers_daylight:
+            said += "; Hoffman and Preetham's daylight explains it better than any of them"
+        return said
+
+    @property
+    def prefers_daylight(self) -> bool:
+        return self.daylight is not None and (
+            -2 * self.daylight.log_likelihood < self.recommended.aic - CLEAR
+        )
+
+    def summary(self) -> str:
+        """A plain-text table."""
+        least = min(row.bic for row in self.rows)
+        wide = max(len(row.rung.name) for row in self.rows)
+        lines = [
+            f"    {'model':<{wide}} {'rms':>8} {'noise':>8} {'unknowns':>8} "
+            f"{'AIC':>13} {'BIC':>13} {'BIC - least':>12} {'held out':>10}"
+        ]
+        for i, row in enumerate(self.rows):
+            lines.append(
+                f"  {'>' if i == self.chosen else ' '} {row.rung.name:<{wide}} {row.rmse:8.3f} "
+                f"{row.rung.settled.sigma:8.3g} {row.rung.parameters:>8} {row.aic:13.1f} "
+                f"{row.bic:13.1f} {row.bic - least:12.1f} {row.held_out:10.5f}"
+            )
+        if self.daylight is not None:
+            lines.append(
+                f"    hoffman-preetham: {self.daylight.rmse_levels:.3f} levels rms, "
+                f"log-likelihood {self.daylight.log_likelihood:.1f}"
+            )
+        values = ", ".join(f"{k} {v:.6g}" for k, v in self.recommended.rung.values.items())
+        lines += ["", f"  {self.recommended.rung.name}: {values}"]
+        if len(self.equivalent) > 1:
+            lines.append(f"  one and the same picture: {_joined(list(self.equivalent))}")
+        lines += ["", f"  {self.sentence}"]
+        return "\n".join(lines)
+
+
+def _joined(words: list[str], last: str = "and") -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
+
+
+def select(
+    target: Source,
+    *,
+    mask: Source | None = None,
+    scene: Scene | str | None = None,
+    light: tuple[float, float] | None = None,
+    fov: float | None = None,
+    distance: float | np.ndarray | None = None,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+    **options: Any,
+) -> Selection:
+    """Climb the ladder; arguments are those of `godfit.fit`. ``light`` (u, v), else the scene's,
+    else the middle, is where rungs without a light of their own have it. With a scene, or with
+    ``fov`` and ``distance``, Hoffman and Preetham's daylight is fitted as well."""
+    began, say = time.perf_counter(), progress or (lambda text: None)
+    if options.get("lights", 1) != 1:
+        raise InputError("select: expected lights 1, got more; it asks itself for a second")
+    with jax.enable_x64(False):
+        if scene is not None and not isinstance(scene, Scene):
+            scene = read_scene(scene)
+        place = (0.5, 0.5) if light is None else light
+        if light is None and scene is not None:
+            on_screen = inputs.place_of(inputs.single(scene))
+            place = on_screen["light_x"], on_screen["light_y"]
+        source = inputs.image(target, options.get("transfer", "none"))
+        geometry = scene is not None or (fov is not None and distance is not None)
+        channels = 3 if geometry else None
+        base = fit(
+            source,
+            mask=mask,
+            scene=scene,
+            seed=seed,
+            progress=say,
+            channels=channels,
+            inquire=False,
+            max_values=VALUES,
+            **options,
+        )
+        ladder = Ladder(base, place, seed, say)
+        rungs = ladder.rungs()
+        say("held-out pixels")
+        rows, chosen = _judged(rungs, ladder.seen, seed, base.pixels_effective / base.pixels)
+        daylight = None
+        if geometry:
+            shared = {k: v for k, v in options.items() if k in ("background", "valid", "transfer")}
+            daylight = fit(
+                source, mask=mask, scene=scene, model="hoffman-preetham", fov=fov,
+                distance=distance, channels=3, inquire=False, max_values=VALUES, seed=seed,
+                progress=say, **shared,
+            )  # fmt: skip
+        same = _equivalent(rows[chosen].rung, base)
+    seconds = time.perf_counter() - began
+    return Selection(tuple(rows), chosen, same, base, daylight, seconds)
+
+
+def _judged(rungs: list[Rung], seen: Observation, seed: int, share: float) -> tuple[list[Row], int]:
+    """The rows, and which of them is recommended. Of correlated values only a ``share`` counts."""
+    penalty = math.log(share * len(np.asarray(seen.lo)))
+    lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
+    known = np.isfinite(lo) & np.isfinite(hi)
+    middle = (np.where(known, lo, 0) + np.where(known, hi, 0)) / 2
+    scores, sizes = zip(*side_by_side(lambda rung: _held_out(rung, seen, seed), rungs), strict=True)
+    costs = [-2 * share * rung.settled.log_likelihood for rung in rungs]
+    bics = [c + penalty * r.parameters for c, r in zip(costs, rungs, strict=True)]
+    best = int(np.argmin(bics))
+    rows = []
+    for rung, cost, bic, score in zip(rungs, costs, bics, scores, strict=True):
+        behind = scores[best] - score
+        error = math.sqrt(len(behind) * float(behind.var()))
+        left = np.where(known, rung.tangent.prediction - middle, 0)
+        rmse = math.sqrt(float(np.square(left).sum(dtype=np.float64)) / max(known.sum(), 1))
+        total = sizes[0].sum()
+        rows.append(
+            Row(
+                rung=rung,
+                rmse=rmse,
+                aic=cost + 2 * rung.parameters,
+                bic=bic,
+                held_out=float(score.sum() / total),
+                behind=float(behind.sum() / total),
+                behind_error=error / float(total),
+                like_noise=like_noise(rung, seen),
+            )
+        )
+    chosen = next(i for i, row in enumerate(rows) if i == best or _as_good(row, rows[best]))
+    return rows, chosen
+
+
+def _as_good(row: Row, best: Row) -> bool:
+    """Whether ``row`` is within the uncertainty of ``best``."""
+    if row.rung.settled.sigma <= EXPLAINED:
+        # Even the rounding of every pixel is explained: there is nothing for a larger model to do.
+        return True
+    # What gains nothing on pixels that were not fitted is not known to be there.
+    return row.bic - best.bic < CLEAR or row.behind <= 0
+
+
+def _held_out(rung: Rung, seen: Observation, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """(blocks,) log-likelihood of each block's values when the other half of the blocks is fitted,
+    on the rung's tangent, and how many values there are."""
+    w = seen.size[1]
+    pixels, channels = np.asarray(seen.pixels), seen.channels
+    across = -(-w // BLOCK)
+    block = pixels // w // BLOCK * across + pixels % w // BLOCK
+    rng = np.random.default_rng(seed)
+    half = rng.permutation(int(block.max()) + 1) % 2
+    block = np.repeat(block, channels)
+    drawn = np.arange(len(block))
+    if len(drawn) > HELD_OUT_VALUES:
+        drawn = np.sort(rng.choice(len(drawn), HELD_OUT_VALUES, replace=False))
+    lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
+    count = int(block.max()) + 1
+    score, size = np.zeros(count), np.zeros(count)
+    for side in (0, 1):
+        rows = drawn[half[block[drawn]] != side]
+        others = drawn[half[block[drawn]] == side]
+        if not len(rows) or not len(others):
+            continue
+        tangent, at = rung.tangent, rung.settled
+        by = np.zeros_like(at.coordinates)
+        if rung.model is None:
+            by[0] = _mean(lo[rows], hi[rows]) - at.coordinates[0]
+        elif rung.free.any():
+            moved = solve_tangent(
+                at.coordinates, rung.free, rung.model, tangent.scale, tangent.prediction[rows],
+                tangent.jacobian[:, rows], lo[rows], hi[rows], at.sigma,
+            )  # fmt: skip
+            if np.isfinite(moved.coordinates).all():
+                by = moved.coordinates - at.coordinates
+        levels = tangent.only(others).moved(by)
+        each = log_likelihood(
+            jnp.asarray(levels), jnp.asarray(lo[others]), jnp.asarray(hi[others]),
+            jnp.asarray(at.sigma, jnp.float32),
+        )  # fmt: skip
+        score += np.bincount(block[others], np.asarray(each, np.float64), count)
+        size += np.bincount(block[others], minlength=count)
+    return score, size
+
+
+def _mean(lo: np.ndarray, hi: np.ndarray) -> float:
+    known = np.isfinite(lo) & np.isfinite(hi)
+    return float(((lo + hi) / 2)[known].mean()) if known.any() else 0.0
+
+
+def _equivalent(rung: Rung, base: FitResult) -> dict[str, dict[str, float]]:
+    """Shaders, with their parameters, whose taps are those of the rung: they draw the same picture,
+    and no picture tells them apart. Only where decay and weight are fitted: shaders differ in what
+    they hold them at. The order of decay and weight cannot be seen; a background can."""
+    model = rung.model
+    if not isinstance(model, Mitchell) or model.convention.box:
+        return {}
+    if not (rung.free[1] and rung.free[2] and rung.free[3]):
+        return {model.shader: rung.values}
+    (taps,) = model.taps
+    own, first, decay, step = (float(z) for z in (taps.own, taps.first, taps.ratio, taps.step))
+    found = {model.shader: rung.values | {"samples": float(model.samples)}}
+    for other in CONVENTIONS.values():
+        mine = model.convention
+        if other.box or other.name == model.shader or other.own_pixel != mine.own_pixel:
+            continue
+        how = (other.blend, other.background_gain)
+        if base.picture.background is not None and how != (mine.blend, mine.background_gain):
+            continue
+        samples = taps.count + other.drop
+        exposure = own / (other.gain * other.own) if other.own_pixel else float(model.exposure)
+        weight = first / max(other.gain * exposure * decay ** (1 - other.order), 1e-30)
+        density = step * samples
+        if density > 1 + 1e-6:
+            continue
+        lights = {k: v for k, v in rung.values.items() if k.startswith("light")}
+        found[other.name] = {
+            "exposure": exposure, "decay": decay, "density": min(density, 1.0), "weight": weight,
+            **lights, "samples": float(samples),
+        }  # fmt: skip
+    return found
