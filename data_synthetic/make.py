@@ -32,12 +32,13 @@ import screens
 from stages import FRAMES, SEQUENCES, STAGES, Stage
 
 from godfit.flatland import Sky, canvas, render
-from godfit.io.image import atomic_write, write_image
+from godfit.io.image import write_image
 from godfit.models.mitchell import Mitchell
-from godfit.request import drawn, place_of
+from godfit.runtime.files import atomic_write
 from godfit.scattering.parameters import light_parameters
 from godfit.scattering.radial.reference import bilinear
 from godfit.scenes.scene import Scene, read_scene
+from godfit.scenes.view import drawn_mask, light_on_screen
 
 MOVING = (*SEQUENCES, "sand")
 PLANE_RAYS = 128
@@ -357,8 +358,8 @@ def render_stage(path: Path, stage: Stage) -> tuple[Scene, np.ndarray, np.ndarra
     """Write the scene file; the scene as read from it, its mask and its picture."""
     atomic_write(path, stage.text().encode())
     scene = read_scene(path)
-    mask = to_bytes(drawn(scene, stage.antialias).astype(np.float64))
-    light = [tuple(place_of(scene).values())]
+    mask = to_bytes(drawn_mask(scene, stage.antialias).astype(np.float64))
+    light = [tuple(light_on_screen(scene).values())]
     model = Mitchell(**stage.params, light=light, shader=stage.shader, samples=stage.samples)
     return scene, mask, rendered(model, mask)
 
@@ -372,7 +373,7 @@ def make_stage(folder: Path, name: str, stage: Stage) -> dict:
     settings = {"shader": stage.shader, "samples": stage.samples}
     beside = f'scene = "{files["scene"]}"\n\n[scattering]\nshader = "{stage.shader}"\n'
     atomic_write(folder / f"{name}.toml", f"{beside}samples = {stage.samples}\n".encode())
-    place = {key: round(value, 9) for key, value in place_of(scene).items()}
+    place = {key: round(value, 9) for key, value in light_on_screen(scene).items()}
     names = ("camera.position", "light.position", "light.radius", *stage.known)
     known = {key: np.asarray(scene.value(key)).tolist() for key in names}
     return files | settings | {"params": stage.params | place, "known": known, "note": stage.note}

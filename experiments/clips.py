@@ -22,8 +22,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
 from screens import BACKGROUNDS, SHADER, made  # pyright: ignore[reportMissingImports]
 
 import godfit
+from godfit.report.clip import ClipResult, Frame
 from godfit.runtime.cache import keep_compiled
-from godfit.studies.clip import ClipResult, Frame
 
 JUDGED = ("decay", "density", "gain")
 Estimates = ClipResult | Frame

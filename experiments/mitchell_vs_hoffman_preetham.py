@@ -28,8 +28,8 @@ import scenes
 
 from godfit import FitResult, InputError, fit, rasterise
 from godfit.models.atmosphere import Air
+from godfit.models.build import view_of_scene
 from godfit.models.volume import render
-from godfit.request import view_of
 from godfit.scenes.scene import Scene, read_scene
 from godfit.studies.compare import compare
 
@@ -85,7 +85,7 @@ def air_for(setting: dict[str, float]) -> Air:
 
 def target_of(scene: Scene, air: Air) -> tuple[np.ndarray, float]:
     """Bytes, and the exposure that made them."""
-    distance = np.asarray(view_of(scene).distance)
+    distance = np.asarray(view_of_scene(scene).distance)
     image = render(scene, air, distance, steps=256)
     exposure = 230 / 255 / float(np.quantile(image.max(-1), 0.98))
     return scenes.to_bytes(image * exposure), exposure

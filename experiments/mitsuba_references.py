@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from godfit.io.image import atomic_write
 from godfit.models.atmosphere import LEAST_TURBIDITY, Air
+from godfit.runtime.files import atomic_write
 from godfit.scenes.scene import Scene, read_scene
 
 SIZE, HALF, BATCHES = 16, 6.0, 16

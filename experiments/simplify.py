@@ -20,7 +20,8 @@ from scipy import ndimage
 
 from godfit import Mitchell
 from godfit.io.filters import shrink
-from godfit.studies.simplify import Simpler, simplify
+from godfit.report.simplify import Simpler
+from godfit.studies.simplify import simplify
 
 
 def truth_of(model: Mitchell) -> dict[str, float]:

@@ -20,9 +20,9 @@ import numpy as np
 import scenes
 
 from godfit import fit
-from godfit.request import drawn
 from godfit.scenes import mesh
 from godfit.scenes.scene import Camera, Light, Object, Scene
+from godfit.scenes.view import drawn_mask
 
 FREE = ("light.position", "light.radius", "object[0].position")
 SHAPES = (
@@ -92,7 +92,7 @@ def attempt(seed: int, size: int) -> tuple[bool, bool]:
     rng = np.random.default_rng(seed)
     while True:
         truth = stage(rng, size)
-        mask = drawn(truth, True)
+        mask = drawn_mask(truth, True)
         if np.mean(mask > 0.9) > 0.01 and np.mean(mask < 0.03) > 0.02:
             break
     light = on_screen(truth)[:2] / size

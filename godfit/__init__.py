@@ -10,13 +10,15 @@ from godfit.io.image import Image, read_image, write_image
 
 if TYPE_CHECKING:
     from godfit.fitting import fit
+    from godfit.inference.estimates import Estimate
     from godfit.models.mitchell import Mitchell
-    from godfit.report.result import Estimate, FitResult
+    from godfit.report.clip import ClipResult
+    from godfit.report.result import FitResult
     from godfit.scattering.radial import radial_sum
     from godfit.scattering.taps import CONVENTIONS, Taps
     from godfit.scenes.raster import rasterise
     from godfit.scenes.scene import Scene, read_scene
-    from godfit.studies.clip import ClipResult, fit_clip
+    from godfit.studies.clip import fit_clip
 
 __all__ = [
     "CONVENTIONS",
@@ -39,8 +41,8 @@ __all__ = [
 
 _HOMES = {
     "CONVENTIONS": "godfit.scattering.taps",
-    "ClipResult": "godfit.studies.clip",
-    "Estimate": "godfit.report.result",
+    "ClipResult": "godfit.report.clip",
+    "Estimate": "godfit.inference.estimates",
     "FitResult": "godfit.report.result",
     "Mitchell": "godfit.models.mitchell",
     "Scene": "godfit.scenes.scene",

@@ -12,34 +12,45 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from godfit import request as inputs
+from godfit import request
 from godfit.blind import photograph, unaided
 from godfit.errors import InputError
 from godfit.flatland import inputs as plane
 from godfit.flatland.model import Flatland
 from godfit.flatland.starts import starts as starts_in_plane
 from godfit.inference import indirect_inference
+from godfit.inference.fitted import Found
 from godfit.inference.information import evidence, undetermined
 from godfit.inference.observation import Picture
+from godfit.inference.problem import MAX_VALUES, checked_picture, given_and_held, pixels_used
 from godfit.inference.settle import settle
 from godfit.io.image import Image
+from godfit.io.sources import Source, occluder_mask, read_source
+from godfit.models.base import AbstractModel
+from godfit.models.build import daylight_template, mitchell_template, staged_template
 from godfit.models.hoffman_preetham import HoffmanPreetham
-from godfit.models.mitchell import AbstractModel, Mitchell
-from godfit.models.staged import Staged, place, resized
+from godfit.models.mitchell import Mitchell
+from godfit.models.staged import Staged
 from godfit.report.result import FitResult
-from godfit.report.verdict import Found, verdict
-from godfit.request import Source
+from godfit.report.verdict import verdict
 from godfit.runtime.compile_time import compile_seconds
 from godfit.scenes.scene import Scene, read_scene
+from godfit.scenes.view import (
+    as_sky_mask,
+    drawn_mask,
+    in_single_precision,
+    light_on_screen,
+    resized,
+    scene_at_pass_size,
+)
 from godfit.search import density_minima, multigrid, multistart, screening, screening_daylight
-from godfit.search.candidates import likeliest
+from godfit.search.density_minima import likeliest
 from godfit.search.edge_pixels import agreed
+from godfit.search.placement import place
 
 STARTS = 6
 # Of them, those that a doubtful fit is tried from once more, each on its own.
 AGAIN = 3
-# More values than this say nothing new, and their derivatives would fill the memory.
-MAX_VALUES = 1 << 21
 Say = Callable[[str], None]
 NOTHING = np.zeros((0, 0), np.float32)
 
@@ -122,13 +133,13 @@ def fit(
     be fitted.
     """
     model = model or (Mitchell.name if canvas is None else Flatland.name)
-    inputs.check_model(model, free, shader, lights, fov, distance)
+    request.check_model(model, free, shader, lights, fov, distance)
     if model == Flatland.name:
         plane.check(canvas, mask, scene, background, samples, pass_scale)
     elif mask is not None and scene is not None:
         raise InputError("fit: expected a mask or a scene, got both")
     elif mask is None and scene is None:
-        inputs.check_unaided(model, lights, background, occluder, bright_pass)
+        request.check_unaided(model, lights, background, occluder, bright_pass)
     elif canvas is not None or rays is not None:
         raise InputError(f"canvas, rays: expected --model {Flatland.name} with them, got {model}")
     if bright_pass and any(x is not None for x in (mask, scene, canvas)):
@@ -138,7 +149,7 @@ def fit(
     with jax.enable_x64(False):
         # The program is one of float32, whatever the caller has set.
         if scene is not None:
-            scene = inputs.single(scene if isinstance(scene, Scene) else read_scene(scene))
+            scene = in_single_precision(scene if isinstance(scene, Scene) else read_scene(scene))
         settings = {} if scene is None else scene.settings
         settings |= {k: v for k, v in given.items() if v is not None}
         try:
@@ -174,15 +185,15 @@ def _fit(
     say: Say,
 ) -> FitResult:
     began, compiled = time.perf_counter(), compile_seconds()
-    images = {"target": inputs.image(target, transfer)}
+    images = {"target": read_source(target, transfer)}
     pass_scale, notes = settings.get("pass_scale", 1.0), ()
     daylight = kind == HoffmanPreetham.name
     if mask is None and scene is None and drawn[0] is None:
-        shading = inputs.template(settings.get("shader", "mitchell"), settings.get("samples"), 1)
+        shading = mitchell_template(settings.get("shader", "mitchell"), settings.get("samples"), 1)
         blocked = None
         if occluder is not None:
-            images["occluder"] = inputs.image(occluder, "none")
-            blocked = inputs.blocked(images["occluder"], images["target"])
+            images["occluder"] = read_source(occluder, "none")
+            blocked = occluder_mask(images["occluder"], images["target"])
         given = (settings.get("pass_scale"), fix, start, seed, say)
         if settings.get("bright_pass"):
             found = photograph.found_in(images["target"], shading, valid, *given)
@@ -190,9 +201,9 @@ def _fit(
             found, notes = unaided.found_in(images["target"], shading, valid, blocked, *given)
         return _concluded(found, notes, images, (began, compiled), seed)
     if scene is not None:
-        scene = inputs.scene_for(scene, images["target"], pass_scale)
+        scene = scene_at_pass_size(scene, images["target"], pass_scale)
         notes, pass_scale = tuple(f"scene: {note}" for note in scene.notes), 1.0
-        start = inputs.place_of(scene) | dict(start)
+        start = light_on_screen(scene) | dict(start)
     model: AbstractModel
     picture = None
     if kind == Flatland.name:
@@ -201,32 +212,34 @@ def _fit(
         say("rays")
         model, picture, images["canvas"] = plane.prepared(images["target"], canvas, rays, valid)
     elif daylight:
-        model, assumed = inputs.daylight(scene, *geometry, settings.get("samples"))
+        model, assumed = daylight_template(scene, *geometry, settings.get("samples"))
         notes += assumed
     else:
-        model = inputs.template(settings.get("shader", "mitchell"), settings.get("samples"), lights)
+        model = mitchell_template(
+            settings.get("shader", "mitchell"), settings.get("samples"), lights
+        )
     if scene is not None:
         smooth = scene.antialias is not False if daylight else scene.antialias or bool(staged)
-        shown = inputs.open_sky(scene) if daylight else scene
-        images["mask"] = inputs.image(inputs.drawn(shown, bool(smooth)), "none")
+        shown = as_sky_mask(scene) if daylight else scene
+        images["mask"] = read_source(drawn_mask(shown, bool(smooth)), "none")
         if staged:
             assert isinstance(model, Mitchell)
-            model = inputs.staged(model, scene, staged)
+            model = staged_template(model, scene, staged)
             start = {name: value for name, value in start.items() if name in model.parameters}
     elif picture is None:
         assert mask is not None
-        images["mask"] = inputs.image(mask, "none")
+        images["mask"] = read_source(mask, "none")
     if background is not None:
-        images["background"] = inputs.image(background, transfer)
+        images["background"] = read_source(background, transfer)
     if picture is None:
-        picture = inputs.picture(
+        picture = checked_picture(
             images["target"], images["mask"], images.get("background"), valid, pass_scale,
             channels or model.channels,
         )  # fmt: skip
     roles = {r: dataclasses.replace(im, values=NOTHING) for r, im in images.items()}
     # What the picture does not need of them would stay in memory to the end.
     del images, target, mask, background
-    given, held = inputs.parameters(model, fix, start)
+    given, held = given_and_held(model, fix, start)
     used = model.used
     free = np.isnan(held) & used
     opened: list[tuple[int, list[int]]] = []
@@ -331,7 +344,7 @@ def _look_on_stage(
     through the mask that it draws, and then both together."""
     z = place(picture, model, given, free, held, seed, say)
     stage = model.moved(jnp.asarray(z), jnp.asarray(held))
-    drawn = np.asarray(inputs.drawn(resized(stage.staged(), picture.mask.shape[:2]), True))
+    drawn = np.asarray(drawn_mask(resized(stage.staged(), picture.mask.shape[:2]), True))
     light = np.asarray(stage.light[0], np.float32)
     flat = _look(
         dataclasses.replace(picture, mask=drawn),
@@ -374,15 +387,3 @@ def _hold_open(found: Found, given: dict[str, float]) -> Found:
         free=free,
         opened=found.opened + more,
     )
-
-
-def pixels_used(picture: Picture, seed: int, most: int = MAX_VALUES) -> np.ndarray:
-    """All valid pixels, or those of rows drawn at random where there are too many."""
-    valid = picture.valid
-    rows = max(1, most // (valid.shape[1] * picture.channels))
-    if rows < valid.shape[0]:
-        chosen = np.random.default_rng(seed).permutation(valid.shape[0])[:rows]
-        only = np.zeros_like(valid)
-        only[chosen] = True
-        valid = valid & only
-    return np.flatnonzero(valid)

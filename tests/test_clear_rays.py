@@ -14,9 +14,9 @@ from godfit.blind.turns import Read, Turns
 from godfit.inference.observation import Picture
 from godfit.inference.solver import Point
 from godfit.io.filters import shrink
+from godfit.io.sources import read_source
 from godfit.models.disc_light import DENSITY, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
 from godfit.models.mitchell import Mitchell
-from godfit.request import image
 
 SIZE = (108, 192)
 LIGHT, RADIUS_THERE, VEIL, COLOUR = (0.43, 0.56), 0.11, 0.05, (0.2, 0.25, 0.3)
@@ -120,7 +120,7 @@ def test_the_disc_is_told_to_a_fraction_of_a_texel(cut, blue):
     shading = Mitchell(0.03, 0.985, 0.8, 0.7, [LIGHT], "dawntime", 60)
     levels = 255 * (colour + np.asarray(shading(jnp.asarray(mask)))[..., None])
     target = np.round(levels).clip(0, 255).astype(np.uint8)
-    picture = Picture.make(image(target, "none"), open_.astype(np.float32), None, None)
+    picture = Picture.make(read_source(target, "none"), open_.astype(np.float32), None, None)
     silent = ndimage.binary_dilation(open_ == 0, iterations=2)
     picture = dataclasses.replace(picture, valid=picture.valid & ~silent)
     with jax.enable_x64(False):
@@ -155,7 +155,7 @@ def test_the_disc_is_told_to_a_fraction_of_a_texel(cut, blue):
 
 def found_from_the_middle(target, open_, channels):
     """What clear rays of a target (h, w, 3) of bytes show, with ``open_`` (h, w) the mask."""
-    picture = Picture.make(image(target, "none"), open_, None, None)
+    picture = Picture.make(read_source(target, "none"), open_, None, None)
     with jax.enable_x64(False):
         shading = Mitchell(0.03, 0.985, 0.8, 0.7, [LIGHT], "dawntime", 20)
         model = DiscLight(shading, [RADIUS_THERE, 1e-3, VEIL], np.zeros((1, channels)))

@@ -18,9 +18,9 @@ from godfit.flatland import Sky, read_canvas, render
 from godfit.io.image import read_image, read_layer
 from godfit.io.sidecar import read_sidecar
 from godfit.models.mitchell import Mitchell
-from godfit.request import drawn
 from godfit.scenes.raster import on_screen
 from godfit.scenes.scene import read_scene
+from godfit.scenes.view import drawn_mask
 
 # What numba compiles cannot be wrapped by the hook of conftest.py.
 with mock.patch.object(sys, "meta_path", [f for f in sys.meta_path if not hasattr(f, "modules")]):
@@ -178,7 +178,7 @@ def test_scene_has_the_truth_and_gives_mask_and_target(name):
         np.testing.assert_allclose(scene.value(key), value, atol=1e-9)
 
     levels = _levels(FOLDER / truth["mask"])
-    mask = np.floor(drawn(scene, scene.antialias).astype(float) * 255 + 0.5).astype(int)
+    mask = np.floor(drawn_mask(scene, scene.antialias).astype(float) * 255 + 0.5).astype(int)
     assert levels.shape == mask.shape
     assert np.abs(levels - mask).max() <= 1
     assert np.mean(levels != mask) < 1e-3

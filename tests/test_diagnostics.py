@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from godfit.inference.diagnostics import Span, Suspect, named
-from godfit.io.blocks import was_jpeg
+from godfit.io.jpeg import was_jpeg
 from godfit.search.multistart import edges_agree
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))

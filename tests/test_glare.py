@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from godfit import request as inputs
 from godfit.blind import beginnings, glare, screenshot
-from godfit.inference.observation import LEVELS, Picture
+from godfit.inference.observation import Picture
+from godfit.io.image import LEVELS
+from godfit.io.sources import read_source
 from godfit.models.disc_light import VEIL, DiscLight
 from godfit.models.mitchell import Mitchell
 
@@ -20,7 +21,7 @@ SIZE = (120, 200)
 
 
 def picture_of(levels, valid=None):
-    image = inputs.image(np.asarray(levels, np.uint8), "none")
+    image = read_source(np.asarray(levels, np.uint8), "none")
     return Picture.make(image, np.ones(levels.shape[:2], np.float32), None, valid)
 
 
@@ -102,7 +103,7 @@ def test_light_of_a_screenshot(background, seed):
     valid = np.ones(screen.image.shape[:2], bool)
     for x, y, w, h in screen.panels:
         valid[y : y + h, x : x + w] = False
-    reading = screenshot.read(inputs.image(screen.image, "none"), valid, None)
+    reading = screenshot.read(read_source(screen.image, "none"), valid, None)
     found = glare.circles(reading.picture, 0)
     light = screen.truth["light_x"], screen.truth["light_y"]
     assert np.abs(found[:, :2] - light).max(1).min() < 0.01

@@ -21,16 +21,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from godfit.io import image
-from godfit.io.image import (
-    MAX_PIXELS,
-    Image,
-    InputError,
-    atomic_write,
-    decode,
-    encode,
-    read_image,
-    write_image,
-)
+from godfit.io.image import MAX_PIXELS, Image, InputError, decode, encode, read_image, write_image
+from godfit.runtime.files import atomic_write
 
 RNG = np.random.default_rng(20240229)
 H, W = 11, 13

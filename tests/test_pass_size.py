@@ -11,14 +11,14 @@ from PIL import Image
 from godfit.blind import screenshot
 from godfit.blind.pass_size import _bends, pass_scale_of
 from godfit.inference.observation import Picture
-from godfit.request import image
+from godfit.io.sources import read_source
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
 from screens import made
 
 
 def picture_of(levels):
-    return screenshot.read(image(levels, "none"), None, None).picture
+    return screenshot.read(read_source(levels, "none"), None, None).picture
 
 
 def doubled(texels):

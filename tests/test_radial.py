@@ -8,8 +8,8 @@ import numpy as np
 import oracle
 import pytest
 
+from godfit.inference.sample_count import left
 from godfit.scattering import radial
-from godfit.scattering.radial.spacings import left
 from godfit.scattering.taps import Taps, convention
 
 # godfit.radial.pairs the module; the package has a function of that name.

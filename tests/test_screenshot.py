@@ -17,9 +17,11 @@ from godfit.blind.no_rays import CLEAR_RAYS, RAYS, objection
 from godfit.blind.occluders import asked
 from godfit.blind.segment import light_colour, panels, segments
 from godfit.blind.turns import Read
+from godfit.inference.estimates import Estimate
 from godfit.inference.likelihood import ANY_LEVEL, deviance_residuals, interval
 from godfit.inference.observation import Picture
 from godfit.inference.solver import Point, solve
+from godfit.io.sources import read_source, shrink_mask
 from godfit.models.bright_pass import BrightPass
 from godfit.models.disc_light import (
     DARKEST,
@@ -33,9 +35,7 @@ from godfit.models.disc_light import (
     DiscLight,
 )
 from godfit.models.mitchell import Mitchell
-from godfit.report.result import Estimate
 from godfit.report.verdict import _from_anywhere
-from godfit.request import image, shrink_mask
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
 from screens import made
@@ -225,7 +225,7 @@ def test_a_background_that_varies_as_the_light_does_gives_it_no_colour(seed):
 def test_a_background_that_hardly_varies_is_no_constant(kind, varies):
     """By little more than a level (rms) in one channel against another: rounding makes less."""
     screen = made(9289, kind)
-    reading = screenshot.read(image(screen.image, "none"), beside_panels(screen), None)
+    reading = screenshot.read(read_source(screen.image, "none"), beside_panels(screen), None)
     assert (reading.degree > 0) == varies
 
 
@@ -310,7 +310,7 @@ def test_an_occluder_that_is_given_stands_in_the_way(screen):
     screen, _ = screen
     drawn = np.zeros(SIZE, bool)
     drawn[40:60, 100:120] = True
-    reading = screenshot.read(image(screen.image, "none"), None, drawn)
+    reading = screenshot.read(read_source(screen.image, "none"), None, drawn)
     assert (reading.picture.mask[drawn] == 0).all()
     assert not reading.picture.valid[drawn].any()
     assert not reading.unknown[drawn].any()
@@ -320,7 +320,9 @@ def test_a_light_most_of_which_is_hidden_is_looked_for():
     """What is left of its disc lies beside it."""
     screen = made(9011, "flat")
     h, w = screen.image.shape[:2]
-    picture = screenshot.read(image(screen.image, "none"), beside_panels(screen), None).picture
+    picture = screenshot.read(
+        read_source(screen.image, "none"), beside_panels(screen), None
+    ).picture
     light = screen.truth["light_x"], screen.truth["light_y"]
     off = (screen_disc.places(picture.shrunk(2), 0) - light) * (w / h, 1)
     assert np.hypot(*off.T).min() < 0.03
@@ -332,7 +334,7 @@ def test_light_explains_rays_and_nothing_else(screen):
     cells = np.kron(rng.integers(20, 180, (9, 16)), np.ones((10, 10)))
     # Of one colour: nothing is told apart as an object.
     picture = (cells[..., None] + [0, 20, 40]).astype(np.uint8)
-    reading = screenshot.read(image(picture, "none"), None, None)
+    reading = screenshot.read(read_source(picture, "none"), None, None)
 
     shading = Mitchell(1, 0.9, 0.5, 0.5, [0.5, 0.5], "dawntime", result.model.samples)
     parameters = screenshot.template(shading, 3, reading.degree, reading.tint).parameters
@@ -346,8 +348,10 @@ def test_texture_is_not_asked_of_the_light():
     """It is told from a smooth background, and rays over it are explained by the light that made
     them and by no other."""
     screen = made(3003, "textured", (180, 320))
-    picture = screenshot.read(image(screen.image, "none"), None, None).picture
-    smooth = screenshot.read(image(made(3003, "smooth", (180, 320)).image, "none"), None, None)
+    picture = screenshot.read(read_source(screen.image, "none"), None, None).picture
+    smooth = screenshot.read(
+        read_source(made(3003, "smooth", (180, 320)).image, "none"), None, None
+    )
     assert grain(picture) > 4
     assert grain(smooth.picture) < 1
     u, v = screen.truth["light_x"], screen.truth["light_y"]
@@ -366,7 +370,9 @@ def test_a_light_beside_the_picture_explains_it():
 @jax.enable_x64(False)
 def share_explained(screen, u, v):
     """By a light there, all else as it was: beside the picture, a softer edge would light it."""
-    picture = screenshot.read(image(screen.image, "none"), beside_panels(screen), None).picture
+    picture = screenshot.read(
+        read_source(screen.image, "none"), beside_panels(screen), None
+    ).picture
     mask = shrink_mask((screen.mask > 0).astype(np.float32), screen.pass_scale)
     picture = dataclasses.replace(picture, mask=mask)
     t = screen.truth
@@ -429,7 +435,7 @@ def test_light_from_anywhere_is_no_rays(agreed, off, said):
 )
 def test_next_to_texture_the_background_is_no_finer_than_it_must_be(kind, degree):
     """It would make up for the light; elsewhere it is as in the end."""
-    picture = image(made(3003, kind, (180, 320)).image, "none")
+    picture = read_source(made(3003, kind, (180, 320)).image, "none")
     assert unaided._degree(screenshot.read(picture, None, None)) == degree
 
 
@@ -451,7 +457,9 @@ def test_light_that_explains_little_is_rays_where_starts_agree(
     lights = np.tile(best, (12, 1))
     lights[agreed:] += 0.1
     look = looks[0]._replace(explained=explained, lights=lights, texture=texture)
-    picture = screenshot.read(image(screen.image, "none"), beside_panels(screen), None).picture
+    picture = screenshot.read(
+        read_source(screen.image, "none"), beside_panels(screen), None
+    ).picture
     held = np.full_like(look.ends[0].coordinates, np.nan)
     assert (objection(look, held, picture) == "") == rays
 
@@ -464,7 +472,7 @@ def test_no_background_is_much_darker_than_black():
     open_ = np.ones(SIZE, np.float32)
     drawn = np.asarray(model(jnp.asarray(open_), size=SIZE))
     levels = np.round(255 * drawn.clip(0, 1)).astype(np.uint8)
-    picture = Picture.make(image(levels, "none"), open_, None, None)
+    picture = Picture.make(read_source(levels, "none"), open_, None, None)
     start = np.array(model.coordinates(), np.float32)
     start[VEIL] *= 10
     free, held = np.arange(len(start)) >= FIRST, np.full_like(start, np.nan)
@@ -511,7 +519,7 @@ def test_the_size_of_the_light_pass_is_found(scale, smaller, monkeypatch):
     low = jnp.asarray(shrink_mask(open_, scale))
     levels = 255 * np.asarray(model(low, size=SIZE, pixels=jnp.arange(h * w))).reshape(h, w, 3)
     target = np.round(levels).clip(0, 255).astype(np.uint8)
-    reading = screenshot.read(image(target, "none"), None, None)
+    reading = screenshot.read(read_source(target, "none"), None, None)
     thought = np.ones(SIZE, np.float32)
     thought[32:45, 76:88] = 0
     unknown = np.zeros(SIZE, bool)

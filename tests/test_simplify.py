@@ -10,8 +10,8 @@ import pytest
 from godfit.__main__ import main
 from godfit.errors import InputError
 from godfit.io.image import write_image
-from godfit.models.mitchell import Mitchell
-from godfit.studies.simplify import resampled, simplify
+from godfit.models.mitchell import Mitchell, resampled
+from godfit.studies.simplify import simplify
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import simplify as experiment

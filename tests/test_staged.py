@@ -15,10 +15,10 @@ from godfit.errors import InputError
 from godfit.models import staged
 from godfit.models.mitchell import Mitchell
 from godfit.models.staged import Staged
-from godfit.request import drawn
 from godfit.scenes import mesh
 from godfit.scenes.raster import on_screen, rasterise
 from godfit.scenes.scene import Camera, Light, Object, Scene
+from godfit.scenes.view import drawn_mask
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import scenes
@@ -67,7 +67,7 @@ def target(scene, mask):
 @pytest.mark.parametrize("antialias", [True, False])
 def test_scene_alone_gives_what_its_mask_gives(antialias):
     scene = stage()
-    mask = drawn(scene, antialias)
+    mask = drawn_mask(scene, antialias)
     image, truth = target(scene, mask)
     by_scene = godfit.fit(image, scene=scene, shader="dawntime", samples=SAMPLES)
     assert by_scene.converged, by_scene.message
@@ -81,7 +81,7 @@ def test_scene_alone_gives_what_its_mask_gives(antialias):
 def test_edge_pixels_fall_as_the_target_has_them():
     """Six edge pixels of the hard mask on the other side, as another renderer may draw them."""
     scene = dataclasses.replace(stage(), antialias=False)
-    mask, smooth = drawn(scene, False), drawn(scene, True)
+    mask, smooth = drawn_mask(scene, False), drawn_mask(scene, True)
     other = mask.copy()
     for side in (0.0, 1.0):
         # The three edge pixels of this side that are nearest to being halved.
@@ -100,7 +100,7 @@ def test_edge_pixels_fall_as_the_target_has_them():
 def test_light_and_object_are_found_again(monkeypatch):
     monkeypatch.setattr(staged, "PLACEMENTS", 30)
     scene = stage()
-    image, truth = target(scene, drawn(scene, True))
+    image, truth = target(scene, drawn_mask(scene, True))
     start = scene.replaced(
         {
             "light.position": jnp.array([1.2, -0.3, -3.2]),

@@ -13,8 +13,8 @@ from scipy import integrate
 
 from godfit import InputError
 from godfit.models.atmosphere import Air, hoffman_preetham, sunlight
+from godfit.models.build import view_of_scene
 from godfit.models.volume import march, render, trace, view_rays
-from godfit.request import view_of
 from godfit.scenes.scene import read_scene
 from godfit.scenes.shadow_maps import shadows
 
@@ -60,7 +60,7 @@ BALL = """
 def traced(scene, source="sun", steps=128, resolution=1024, length=None):
     pixels = np.arange(scene.size[0] * scene.size[1])
     if length is None:
-        length = np.asarray(view_of(scene).distance, np.float64).reshape(-1)
+        length = np.asarray(view_of_scene(scene).distance, np.float64).reshape(-1)
     shadow = shadows(scene, source, resolution)
     return trace(scene, view_rays(scene, pixels), length, shadow, source, steps)
 
@@ -200,7 +200,7 @@ def test_the_sun_may_stand_behind_an_object(tmp_path):
 
 def test_image_is_the_rays_and_the_background(tmp_path):
     scene, air = stage(tmp_path, BOX), Air(*AIR)
-    distance = np.asarray(view_of(scene).distance)
+    distance = np.asarray(view_of_scene(scene).distance)
     image = render(scene, air, distance, resolution=1024)
     assert image.shape == (24, 24, 3)
     rays = np.asarray(march(air, traced(scene))).reshape(24, 24, 3)
@@ -212,7 +212,7 @@ def test_image_is_the_rays_and_the_background(tmp_path):
 
 def test_distances_are_those_of_the_box(tmp_path):
     scene = stage(tmp_path, BOX.replace("1.2, -5", "0.0, -5"))
-    distance = np.asarray(view_of(scene).distance)
+    distance = np.asarray(view_of_scene(scene).distance)
     direction = view_rays(scene, np.arange(24 * 24)).reshape(24, 24, 3)
     front = distance < 30
     assert front.sum() > 5
@@ -247,7 +247,7 @@ def test_agrees_with_mitsuba(tmp_path):
         # A pixel is the mean over its area.
         scene = dataclasses.replace(theirs.scene_of(reference, tmp_path), size=(side, side))
         direction = view_rays(scene, np.arange(side**2))
-        seen = np.asarray(view_of(scene, 1e6).distance, np.float64).reshape(-1)
+        seen = np.asarray(view_of_scene(scene, 1e6).distance, np.float64).reshape(-1)
         length = np.minimum(seen, theirs.to_the_wall(direction))
         rays = traced(scene, "lamp", 128, 2048, length)
         image = np.asarray(march(theirs.air_of(reference), rays))

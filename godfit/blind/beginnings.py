@@ -10,9 +10,10 @@ import numpy as np
 
 from godfit.inference.evaluate import predicted
 from godfit.inference.likelihood import log_likelihood
-from godfit.inference.observation import LEVELS, Observation
+from godfit.inference.observation import Observation
 from godfit.inference.solver import Point, solve
 from godfit.io.filters import over_channels
+from godfit.io.image import LEVELS
 from godfit.models.disc_light import FIRST, DiscLight, terms
 from godfit.runtime.parallel import side_by_side
 from godfit.runtime.program_cache import kept

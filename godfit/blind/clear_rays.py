@@ -24,8 +24,8 @@ from godfit.blind.disc_sums import best_discs, disc_sums, is_clear, open_sums
 from godfit.blind.occluders import light_read, texels_of
 from godfit.blind.turns import Read, Turns
 from godfit.inference.evaluate import model_at, taps_of
-from godfit.inference.observation import LEVELS
 from godfit.io.filters import shrink
+from godfit.io.image import LEVELS
 from godfit.models.disc_light import (
     DENSITY,
     GAIN,

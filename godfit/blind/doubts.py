@@ -8,11 +8,11 @@ from collections.abc import Iterator
 import numpy as np
 from scipy import ndimage
 
-from godfit import request as inputs
 from godfit.inference.evaluate import predicted
 from godfit.inference.observation import Observation
 from godfit.inference.settle import Settled, Tangent
 from godfit.inference.solver import solve_tangent
+from godfit.io.sources import shrink_mask
 from godfit.models.disc_light import DENSITY, DiscLight
 
 
@@ -22,11 +22,11 @@ def rivals(
     """Masks of the light pass's size as likely as ``mask``, which was found: as far from it as
     objects a pixel larger or smaller, and as ``first`` (h, w) seen, are from what the search had
     ended with, ``searched`` (h, w)."""
-    away = mask - inputs.shrink_mask(searched, pass_scale)
+    away = mask - shrink_mask(searched, pass_scale)
     larger = np.asarray(ndimage.minimum_filter(searched, 3))
     smaller = np.asarray(ndimage.maximum_filter(searched, 3))
     for other in (smaller, larger, first):
-        yield (away + inputs.shrink_mask(other, pass_scale)).clip(0, 1).astype(np.float32)
+        yield (away + shrink_mask(other, pass_scale)).clip(0, 1).astype(np.float32)
 
 
 def shift(

@@ -9,9 +9,9 @@ import functools
 import numpy as np
 
 from godfit.blind.turns import SOME, Read, Turns
+from godfit.inference.scan import DOUBT
 from godfit.models.disc_light import EDGE, SOFT
 from godfit.runtime.parallel import side_by_side
-from godfit.search.density_scan import DOUBT
 
 # Widths of the disc's edge in texels: of one that is drawn without anti-aliasing, whose rim is left
 # to the shadows, and from where a soft one's is looked for.

@@ -16,9 +16,10 @@ from godfit.blind.explained import explained, grain
 from godfit.blind.screenshot import Reading, template
 from godfit.blind.turns import Read, Turns
 from godfit.inference.evaluate import coordinates_at
-from godfit.inference.observation import LEVELS, Picture
+from godfit.inference.observation import Picture
 from godfit.inference.solver import Point
 from godfit.io.filters import over_channels
+from godfit.io.image import LEVELS
 from godfit.models.disc_light import EDGE, TERMS, DiscLight
 from godfit.models.mitchell import Mitchell
 from godfit.runtime.parallel import side_by_side

@@ -14,8 +14,9 @@ import numpy as np
 
 from godfit.blind.consensus import passed_by
 from godfit.blind.segment import grown
-from godfit.inference.observation import LEVELS, Picture
+from godfit.inference.observation import Picture
 from godfit.io.filters import over_channels
+from godfit.io.image import LEVELS
 
 # Circles that are tried, kept, and the share of the outline that these pass at least.
 TRIES, KEEP, LEAST = 4000, 2, 0.2

@@ -23,7 +23,8 @@ from scipy import sparse
 from godfit.blind import outline
 from godfit.blind.lasso import Along, lasso
 from godfit.inference.evaluate import taps_of
-from godfit.inference.observation import LEVELS, Picture
+from godfit.inference.observation import Picture
+from godfit.io.image import LEVELS
 from godfit.models.disc_light import DARK, DiscLight, terms
 from godfit.runtime.program_cache import kept
 from godfit.scattering.mask_jacobian import texel_sums

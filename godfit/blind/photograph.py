@@ -13,7 +13,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from godfit import request as inputs
 from godfit.blind import first_look, screen_disc
 from godfit.blind.beginnings import coordinates_of, with_background
 from godfit.blind.doubts import next_dip
@@ -24,20 +23,22 @@ from godfit.blind.segment import grown
 from godfit.blind.unaided import DISAGREE, LEAST, blocks
 from godfit.errors import InputError
 from godfit.inference.evaluate import occlusion_of
+from godfit.inference.fitted import Found
 from godfit.inference.information import evidence
-from godfit.inference.observation import LEVELS, Observation, Picture
+from godfit.inference.observation import Observation, Picture
+from godfit.inference.problem import given_and_held
+from godfit.inference.scan import bottoms, predictions
 from godfit.inference.settle import settle
 from godfit.inference.solver import Point, solve
-from godfit.io.image import Image
+from godfit.io.image import LEVELS, Image
+from godfit.io.sources import shrink_mask
 from godfit.models.bright_pass import DARK, SOFTNESS, THRESHOLD, BrightPass, brightness
 from godfit.models.disc_light import DENSITY, GAIN, LIGHT_X, LIGHT_Y, TERMS, terms
 from godfit.models.mitchell import Mitchell
-from godfit.report.verdict import Found
 from godfit.runtime.blas import one_thread
 from godfit.runtime.device import on_device
 from godfit.runtime.parallel import side_by_side
 from godfit.runtime.program_cache import kept
-from godfit.search.density_scan import bottoms, predictions
 
 # Degrees of the background that is searched with, and in the end.
 DEGREE, FINER = 2, 3
@@ -77,7 +78,7 @@ def found_in(
     picture, thresholds = _read(target, valid)
     least = thresholds[0]
     model = _template(shading, picture.channels, DEGREE, least)
-    given, held = inputs.parameters(model, fix, start)
+    given, held = given_and_held(model, fix, start)
     free = np.isnan(held) & model.used
     opened: list[tuple[int, list[int]]] = []
     if free[0] and free[3]:
@@ -212,7 +213,7 @@ def _in_turn(
     """Coordinates (p,), and how bright the picture is without its rays, of the light pass's size:
     they are not among what the bright-pass is of."""
     seen = picture.observe(picture.informative(PIXELS, seed))
-    mask, texture = inputs.shrink_mask(picture.mask, scale), grain(picture)
+    mask, texture = shrink_mask(picture.mask, scale), grain(picture)
     for turn in range(TURNS):
         here = seen.with_mask(mask)
         for sigma in SIGMAS if turn == 0 else SIGMAS[-1:]:
@@ -220,7 +221,7 @@ def _in_turn(
         if free[DENSITY] and turn in (0, TURNS - 1):
             z = _densest(z, free, held, model, here, max(SIGMAS[-1], texture))
         light = np.asarray(_light_pass(on_device(z), held, model, on_device(mask), picture.size))
-        mask = inputs.shrink_mask(_brightness(_unlit(model, picture.levels, light)), scale)
+        mask = shrink_mask(_brightness(_unlit(model, picture.levels, light)), scale)
     return z, mask
 
 

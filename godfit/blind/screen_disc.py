@@ -19,13 +19,14 @@ from scipy import ndimage
 
 from godfit.blind.consensus import votes_for
 from godfit.blind.segment import regions
-from godfit.inference.observation import LEVELS, Picture
+from godfit.inference.observation import Picture
 from godfit.io.filters import shrink
+from godfit.io.image import LEVELS
 from godfit.models.disc_light import powers
 from godfit.runtime.device import on_device
 from godfit.runtime.parallel import in_halves, side_by_side
 from godfit.runtime.program_cache import kept
-from godfit.search.screening import DENSITIES, STEPS, read_rays
+from godfit.scattering.radial.nearest import DENSITIES, STEPS, read_rays
 
 SIZE, FINE = 64, 128
 POINTS = 768

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.polynomial.polynomial import polyvander
 from scipy import ndimage
 
-from godfit.inference.observation import LEVELS
 from godfit.io.filters import over_channels
+from godfit.io.image import LEVELS
 from godfit.models.disc_light import POWERS, TERMS, powers
 from godfit.runtime.parallel import side_by_side
 

@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from godfit import request as inputs
 from godfit.blind import first_look, screenshot
 from godfit.blind.around import best_around
 from godfit.blind.beside import NEAR, place_of
@@ -24,14 +23,16 @@ from godfit.blind.pass_size import HALF, pass_scale_of
 from godfit.blind.sight import hidden, out_of_sight
 from godfit.blind.turns import SOME, Read, Turns
 from godfit.errors import InputError
+from godfit.inference.fitted import Found
 from godfit.inference.information import evidence
 from godfit.inference.observation import Observation, Picture
+from godfit.inference.problem import given_and_held
 from godfit.inference.settle import settle
 from godfit.inference.solver import Point
 from godfit.io.image import Image
+from godfit.io.sources import shrink_mask
 from godfit.models.disc_light import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL
 from godfit.models.mitchell import Mitchell
-from godfit.report.verdict import Found
 from godfit.runtime.blas import one_thread
 from godfit.runtime.parallel import side_by_side
 
@@ -104,7 +105,7 @@ def found_in(
     )
 
     model = screenshot.template(shading, reading.picture.channels, reading.degree, reading.tint)
-    given, held = inputs.parameters(model, fix, start)
+    given, held = given_and_held(model, fix, start)
     tint = slice(len(held) - len(reading.tint), None)
     free_tint = np.isnan(held[tint])
     # What it was read as will do until the rest is known.
@@ -154,7 +155,7 @@ def found_in(
             turns, read = _coloured(turns, read, free_tint)
     else:
         at = Point(best.coordinates, np.inf, False, 0)
-        begin = Read.of(at, inputs.shrink_mask(first, pass_scale or 1.0), seen)
+        begin = Read.of(at, shrink_mask(first, pass_scale or 1.0), seen)
         turns = hardened(turns, begin)
         read, doubts = turns.solved(begin, NEAR[-1]), []
     point, mask, seen, free, held = read.point, read.mask, read.seen, turns.free, turns.held
@@ -267,9 +268,7 @@ def _searched(
             # On a copy of that size shadows were those of such a pass.
             masks[HALF].append(end.coarse)
         return [
-            Read.of(at, inputs.shrink_mask(mask, scale), few)
-            for scale in sizes
-            for mask in masks[scale]
+            Read.of(at, shrink_mask(mask, scale), few) for scale in sizes for mask in masks[scale]
         ]
 
     say("lights, densities and radii beside these" if whole else "shadows of the whole picture")

@@ -8,74 +8,48 @@ from typing import Any
 
 import click
 
-from godfit.commands.options import look_away
+from godfit.commands.options import Run, valid_pixels
 from godfit.commands.study import (
     NOT_CONVERGED,
     command_line,
-    concluded,
     folder_for,
-    made_ready,
+    prepare,
+    say,
     working,
     written,
 )
+from godfit.io.frames import frames
 
-# What is fitted to a clip's frames needs these of the options.
-TAKEN = ("shader", "samples", "pass_scale", "transfer")
+ACCEPTED = ("shader", "samples", "pass_scale", "transfer", "fix", "start", "ignore")
+"""Options of ``godfit fit`` that frames take too."""
 
 
-def fit_frames(
-    targets: tuple[str, ...],
-    every: int,
-    given: Mapping[str, Any],
-    fixed: Mapping[str, float | None],
-    started: Mapping[str, float],
-    ignore: tuple[str, ...],
-    output: str | None,
-    *,
-    as_json: bool,
-    seed: int,
-    quiet: bool,
-    verbose: bool,
-) -> int:
-    """One shader for all ``targets``, a light for each; the rest as of one picture."""
-    from godfit.io.frames import frames
-
-    said = {name: value for name, value in given.items() if value not in (None, (), False)}
-    for name in said:
-        if name not in TAKEN:
+def fit_frames(targets: tuple[str, ...], every: int, given: Mapping[str, Any], run: Run) -> int:
+    """Fit one shader to all ``targets`` and a light to each; the rest as of one picture."""
+    options = {name: value for name, value in given.items() if value not in (None, (), False, {})}
+    for name in options:
+        if name not in ACCEPTED:
             option = name.replace("_", "-")
             raise click.UsageError(f"--{option}: expected one picture with it, got several frames")
-    folder = folder_for(name_of(targets), output)
-    transfer = said.pop("transfer", "none")
-    each = frames(targets, every, transfer)
-    valid = None
+    folder = folder_for(common_name(targets), run.output)
+    each = frames(targets, every, options.pop("transfer", "none"))
+    ignore, valid = options.pop("ignore", ()), None
     if ignore:
-        size = next(iter(frames(targets, every))).values.shape[:2]
-        valid = look_away(ignore, size)
-    with working(quiet, verbose) as progress:
-        from godfit.report.clip import as_json as record
-        from godfit.report.clip import save
+        valid = valid_pixels(ignore, next(iter(frames(targets, every))).values.shape[:2])
+    with working(run) as progress:
         from godfit.studies.clip import fit_clip
 
-        made_ready(said, quiet, progress)
-        result = fit_clip(
-            each, valid=valid, fix=fixed, start=started, seed=seed, progress=progress, **said
-        )
+        prepare(options, run, progress)
+        result = fit_clip(each, valid=valid, seed=run.seed, progress=progress, **options)
         progress("drawing")
-        save(result, folder, command_line())
-    concluded(
-        [*result.notes, *result.undetermined, *result.warnings],
-        record(result, command_line()),
-        result.summary(),
-        written(folder, "fit.json", "fit.png"),
-        as_json=as_json,
-        quiet=quiet,
-    )
+        result.save(folder, command_line())
+    notes = [*result.notes, *result.undetermined, *result.warnings]
+    say(result, notes, run, written(folder, "fit.json", "fit.png"))
     return 0 if result.converged else NOT_CONVERGED
 
 
-def name_of(targets: tuple[str, ...]) -> str:
-    """The first frame's without its number: frame_01.png, frame_02.png are ``frame``."""
+def common_name(targets: tuple[str, ...]) -> str:
+    """The first frame's name without its number: frame_01.png, frame_02.png are ``frame``."""
     if len(targets) == 1:
         return targets[0]
     stem = Path(targets[0]).stem.rstrip("0123456789_-. ")

@@ -6,13 +6,13 @@ from typing import Any
 
 import click
 
-from godfit.commands.options import PICTURE, RESULT, pair
+from godfit.commands.options import PICTURE, RESULT, Run, pair
 from godfit.commands.study import (
     NOT_CONVERGED,
     command_line,
-    concluded,
-    made_ready,
     opened,
+    prepare,
+    say,
     working,
     written,
 )
@@ -23,17 +23,7 @@ from godfit.commands.study import (
 @PICTURE
 @click.option("--light", metavar="U,V", help="Where the light is. [default: the scene's]")
 @RESULT
-def compare(
-    target: str,
-    light: str | None,
-    ignore: tuple[str, ...],
-    output: str | None,
-    as_json: bool,
-    seed: int,
-    quiet: bool,
-    verbose: bool,
-    **given: Any,
-) -> int:
+def compare(target: str, light: str | None, run: Run, **given: Any) -> int:
     """Fit Mitchell's sum and Hoffman and Preetham's daylight to TARGET and say which it deserves.
 
     Each is fitted with the light where it is given, if it is, and with the light free; with
@@ -41,24 +31,18 @@ def compare(
     to x.godfit/. Exit status 3 if none converged.
     """
     place = None if light is None else pair(light)
-    study = opened(target, given, ignore, output)
+    study = opened(target, given, run.output)
     study.options.pop("model", None)
-    with working(quiet, verbose) as progress:
-        from godfit.studies import compare as comparing
+    with working(run) as progress:
+        from godfit.studies.compare import compare
 
-        made_ready(study.options, quiet, progress, study.image.values.shape)
-        found = comparing.compare(
-            study.image, light=place, valid=study.valid, seed=seed, progress=progress,
+        prepare(study.options, run, progress, study.image.values.shape)
+        found = compare(
+            study.image, light=place, valid=study.valid, seed=run.seed, progress=progress,
             **study.options,
         )  # fmt: skip
         progress("drawing")
-        comparing.save(found, study.folder, command_line())
-    concluded(
-        [note for row in found.rows for note in row.result.notes],
-        comparing.as_json(found, command_line()),
-        found.summary(),
-        written(study.folder, "compare.json", "compare.png"),
-        as_json=as_json,
-        quiet=quiet,
-    )
+        found.save(study.folder, command_line())
+    notes = [note for row in found.rows for note in row.result.notes]
+    say(found, notes, run, written(study.folder, "compare.json", "compare.png"))
     return 0 if any(row.result.converged for row in found.rows) else NOT_CONVERGED

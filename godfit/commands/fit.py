@@ -10,13 +10,13 @@ import click
 
 from godfit.commands import STARTED
 from godfit.commands.clip import fit_frames
-from godfit.commands.options import BRIGHT_PASS, PICTURE, RESULT, assignments
+from godfit.commands.options import BRIGHT_PASS, PICTURE, RESULT, Run, assignments
 from godfit.commands.study import (
     NOT_CONVERGED,
     command_line,
-    concluded,
-    made_ready,
     opened,
+    prepare,
+    say,
     working,
     written,
 )
@@ -35,26 +35,26 @@ if TYPE_CHECKING:
 @click.option("--model", help="mitchell, hoffman-preetham or flatland. [default: mitchell]")
 @click.option("--free", multiple=True, metavar="NAME", help="Fit this of the scene as well.")
 @click.option("--lights", type=int, help="Number of lights. [default: 1]")
-@click.option("--fix", multiple=True, metavar="NAME[=VALUE]", help="Hold a parameter.")
-@click.option("--start", multiple=True, metavar="NAME=VALUE", help="Start a parameter here.")
-@click.option("--every", type=click.IntRange(1), help="Of a clip: each so many-th frame.")
+@click.option(
+    "--fix", multiple=True, metavar="NAME[=VALUE]", callback=assignments, help="Hold a parameter."
+)
+@click.option(
+    "--start",
+    multiple=True,
+    metavar="NAME=VALUE",
+    callback=assignments,
+    help="Start a parameter here.",
+)
+@click.option("--every", type=click.IntRange(1), help="Every so many-th frame of a clip.")
 @click.option("--profile", multiple=True, metavar="NAME", help="95% interval of the likelihood.")
 @click.option("--posterior", is_flag=True, help="95% intervals of the posterior (blackjax).")
 @RESULT
 def fit(
     target: tuple[str, ...],
-    free: tuple[str, ...],
-    fix: tuple[str, ...],
-    start: tuple[str, ...],
+    every: int | None,
     profile: tuple[str, ...],
     posterior: bool,
-    every: int | None,
-    ignore: tuple[str, ...],
-    output: str | None,
-    as_json: bool,
-    seed: int,
-    quiet: bool,
-    verbose: bool,
+    run: Run,
     **given: Any,
 ) -> int:
     """Fit exposure, decay, density, weight and the light's position to TARGET.
@@ -63,70 +63,57 @@ def fit(
     options override it. The result goes to x.godfit/: fit.json, fit.png, render.png.
 
     With neither a mask nor a scene TARGET is a finished picture: background, objects in the way,
-    panels on top and the light's disc are read off it, and fitted together; with --bright-pass the
-    light is all that is bright in it, as in a photograph. Several TARGETs, or a video, are frames
-    of one clip: one shader for all of them, a light for each.
+    panels on top and the light's disc are estimated from it, and fitted together; with
+    --bright-pass the light is all that is bright in it, as in a photograph. Several TARGETs, or a
+    video, are frames of one clip: one shader for all of them, a light for each.
 
     With --scene the mask is drawn from meshes. --free light.position (or light.radius,
     camera.position, object[0].position, object[0].rotation, ...) fits that as well. With --canvas
     the sun, the sky and the exposure of light in the plane are fitted.
     """
-    fixed = assignments(fix, "--fix", optional=True)
-    started = assignments(start, "--start", optional=False)
     first, *more = target
     if more or is_video(first):
-        alone = {"free": free, "profile": profile, "posterior": posterior}
-        return fit_frames(
-            target, every or 1, given | alone, fixed, started, ignore, output, as_json=as_json,
-            seed=seed, quiet=quiet, verbose=verbose,
-        )  # fmt: skip
+        single = {"profile": profile, "posterior": posterior}
+        return fit_frames(target, every or 1, given | single, run)
     if every is not None:
         raise click.UsageError("--every: expected several frames or a video with it, got a picture")
-    study = opened(first, given, ignore, output, alone=True)
-    only_one(study.options, given)
+    study = opened(first, given, run.output, bare=True)
+    keep_one_source(study.options, given)
     if (profile or posterior) and not {"mask", "scene", "canvas"} & study.options.keys():
-        asked = f"--profile {profile[0]}" if profile else "--posterior"
-        raise click.UsageError(f"{asked}: expected --mask, --scene or --canvas with it, got none")
+        wanted = f"--profile {profile[0]}" if profile else "--posterior"
+        raise click.UsageError(f"{wanted}: expected --mask, --scene or --canvas with it, got none")
+    free = study.options["free"]
     if free and "scene" not in study.options:
         raise click.UsageError(f"--free {free[0]}: expected --scene SCENE.toml with it, got a mask")
-    with working(quiet, verbose) as progress:
-        from godfit.fitting import fit as run
-        from godfit.report.text import as_json as record
-        from godfit.report.text import save
+    with working(run) as progress:
+        from godfit.fitting import fit
         from godfit.studies.posterior import require
 
         if posterior:
             require()
         imported = time.perf_counter() - STARTED
         file = study.options.get("scene")
-        made_ready(study.options, quiet, progress, study.image.values.shape)
-        result = run(
-            study.image, free=free, fix=fixed, start=started, valid=study.valid, seed=seed,
-            progress=progress, **study.options,
-        )  # fmt: skip
-        result = with_intervals(result, profile, posterior, seed, progress)
+        prepare(study.options, run, progress, study.image.values.shape)
+        result = fit(
+            study.image, valid=study.valid, seed=run.seed, progress=progress, **study.options
+        )
+        result = with_intervals(result, profile, posterior, run.seed, progress)
         if file is not None:
             result.inputs["scene"] = {"path": file}
         result.timing_s["import"] = imported
         result.timing_s["total"] = time.perf_counter() - STARTED
         progress("drawing")
-        save(result, study.folder, command_line())
-    concluded(
-        [*result.notes, *result.undetermined, *result.warnings],
-        record(result, command_line()),
-        result.summary(),
-        written(study.folder, "fit.json", "fit.png", "render.png"),
-        as_json=as_json,
-        quiet=quiet,
-    )
+        result.save(study.folder, command_line())
+    notes = [*result.notes, *result.undetermined, *result.warnings]
+    say(result, notes, run, written(study.folder, "fit.json", "fit.png", "render.png"))
     return 0 if result.converged else NOT_CONVERGED
 
 
 def with_intervals(
     result: FitResult, names: tuple[str, ...], posterior: bool, seed: int, progress: Progress
 ) -> FitResult:
-    """The result with the intervals that were asked for."""
-    from godfit.studies import posterior as drawing
+    """The result with profile intervals of ``names`` and, if wanted, those of the posterior."""
+    from godfit.studies import posterior as sampling
     from godfit.studies.profile_likelihood import check, profile
 
     for name in names:
@@ -136,12 +123,12 @@ def with_intervals(
         result = profile(result, name)
     if posterior:
         progress("posterior")
-        result = drawing.with_posterior(result, drawing.posterior(result, seed=seed))
+        result = sampling.with_posterior(result, sampling.posterior(result, seed=seed))
     return result
 
 
-def only_one(options: dict[str, Any], given: Mapping[str, Any]) -> None:
-    """Of a canvas and a mask or scene, keep what was given here, or what the model asks for."""
+def keep_one_source(options: dict[str, Any], given: Mapping[str, Any]) -> None:
+    """Keep either a canvas or a mask and scene: what was given here, or what the model needs."""
     if "canvas" not in options:
         return
     instead = given["mask"] is not None or given["scene"] is not None
@@ -151,8 +138,8 @@ def only_one(options: dict[str, Any], given: Mapping[str, Any]) -> None:
     if instead and given["model"] is None:
         options.pop("model", None)
     plane = given["canvas"] is not None or alone or options.get("model") == "flatland"
-    away = ("mask", "scene", "samples", "shader", "lights") if plane else ("canvas", "rays")
-    for name in away:
+    unused = ("mask", "scene", "samples", "shader", "lights") if plane else ("canvas", "rays")
+    for name in unused:
         if given.get(name) is None:
             options.pop(name, None)
     if plane and given["model"] is None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from godfit.commands.options import BRIGHT_PASS, SHADER, look_away
+from godfit.commands.options import BRIGHT_PASS, QUIET, SHADER, Run, valid_pixels, with_run
 from godfit.commands.progress import Progress, warn
 from godfit.commands.study import working
 
@@ -17,25 +17,19 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("scene", required=False)
 @click.option("--from-image", "target", metavar="TARGET", help="Estimate it from this picture.")
-@click.option("-o", "--output", required=True, help="Image to write: .png or .npy (linear floats).")
 @click.option(
     "--hard", is_flag=True, help="Pixel centres only, as WebGL draws without multisampling."
 )
 @BRIGHT_PASS
 @SHADER
 @click.option("--ignore", multiple=True, metavar="X,Y,W,H|IMAGE", help="Pixels to look away from.")
-@click.option("-q", "--quiet", is_flag=True, help="No warnings.")
-def mask(
-    scene: str | None,
-    target: str | None,
-    output: str,
-    hard: bool,
-    bright_pass: bool | None,
-    shader: str | None,
-    samples: int | None,
-    ignore: tuple[str, ...],
-    quiet: bool,
-) -> int:
+@with_run(
+    click.option(
+        "-o", "--output", required=True, help="Image to write: .png or .npy (linear floats)."
+    ),
+    QUIET,
+)
+def mask(scene: str | None, target: str | None, hard: bool, run: Run, **options: Any) -> int:
     """Draw the occlusion mask of SCENE.toml, anti-aliased; or, with --from-image, write the mask
     that a picture without one seems to have, to be touched up."""
     from godfit.io.image import write_image
@@ -47,43 +41,36 @@ def mask(
         values, notes = of_scene(scene, hard)
     else:
         assert target is not None
-        values, notes = of_picture(target, bool(bright_pass), shader, samples, ignore, quiet)
-    write_image(output, values)
-    if not quiet:
+        values, notes = of_picture(target, run, **options)
+    assert run.output is not None
+    write_image(run.output, values)
+    if not run.quiet:
         for note in notes:
             warn(note)
     return 0
 
 
 def of_scene(scene: str, hard: bool) -> tuple[np.ndarray, tuple[str, ...]]:
-    from godfit.request import drawn
     from godfit.scenes.scene import read_scene
+    from godfit.scenes.view import drawn_mask
 
     with Progress(quiet=False, verbose=False) as progress:
         progress("loading meshes")
         stage = read_scene(scene)
         progress("drawing")
-        return drawn(stage, not hard), stage.notes
+        return drawn_mask(stage, not hard), stage.notes
 
 
 def of_picture(
-    target: str,
-    bright_pass: bool,
-    shader: str | None,
-    samples: int | None,
-    ignore: tuple[str, ...],
-    quiet: bool,
+    target: str, run: Run, *, bright_pass: bool | None, ignore: tuple[str, ...], **options: Any
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     from godfit.io.image import read_image
 
     image = read_image(target)
-    valid = look_away(ignore, image.values.shape[:2])
-    with working(quiet, verbose=False) as progress:
+    valid = valid_pixels(ignore, image.values.shape[:2])
+    with working(run) as progress:
         from godfit.fitting import fit
 
-        found = fit(
-            image, bright_pass=bright_pass, shader=shader, samples=samples, valid=valid,
-            progress=progress,
-        )  # fmt: skip
+        found = fit(image, bright_pass=bool(bright_pass), valid=valid, progress=progress, **options)
     doubts = () if found.converged else (found.message,)
     return found.mask, (*found.notes, *found.warnings, *doubts)

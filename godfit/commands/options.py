@@ -1,10 +1,11 @@
-"""Options that several commands share, and how their texts are read."""
+"""Options that several commands share, and how their texts are parsed."""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -55,36 +56,65 @@ PICTURE = together(
         "--ignore", multiple=True, metavar="X,Y,W,H|IMAGE", help="Pixels to look away from."
     ),
 )
-# What becomes of the result.
-RESULT = together(
+
+
+class Run(NamedTuple):
+    """How a command runs and what becomes of its result: the folder (None for the default one),
+    whether stdout gets JSON, the seed of the choice of pixels, and what is said on stderr."""
+
+    output: str | None = None
+    as_json: bool = False
+    seed: int = 0
+    quiet: bool = False
+    verbose: bool = False
+
+
+def with_run(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Options whose values reach the command together, as its argument ``run``."""
+
+    def decorate(command: Any) -> Any:
+        @functools.wraps(command)
+        def collected(**values: Any) -> Any:
+            given = {name: values.pop(name) for name in Run._fields if name in values}
+            return command(run=Run(**given), **values)
+
+        return together(*options)(collected)
+
+    return decorate
+
+
+JSON = click.option(
+    "--json", "as_json", is_flag=True, help="Print JSON, and nothing else, to stdout."
+)
+QUIET = click.option("-q", "--quiet", is_flag=True, help="No progress, no warnings.")
+VERBOSE = click.option("-v", "--verbose", is_flag=True, help="A line for every stage.")
+RESULT = with_run(
     click.option("-o", "--output", metavar="DIR", help="Result folder. [default: TARGET.godfit]"),
-    click.option(
-        "--json", "as_json", is_flag=True, help="Print JSON, and nothing else, to stdout."
-    ),
+    JSON,
     click.option("--seed", type=int, default=0, help="Seed of the choice of pixels."),
-    click.option("-q", "--quiet", is_flag=True, help="No progress, no warnings."),
-    click.option("-v", "--verbose", is_flag=True, help="A line for every stage."),
+    QUIET,
+    VERBOSE,
 )
 
 
-def assignments(values: tuple[str, ...], option: str, optional: bool) -> dict[str, Any]:
-    """``NAME=VALUE`` (or, if ``optional``, ``NAME``) -> a dictionary."""
-    found: dict[str, Any] = {}
+def assignments(
+    context: click.Context, option: click.Parameter, values: tuple[str, ...]
+) -> dict[str, float | None]:
+    """``NAME=VALUE`` -> a dictionary; for ``--fix`` a ``NAME`` alone is held where it is."""
+    found: dict[str, float | None] = {}
     for text in values:
         name, sign, value = text.partition("=")
-        if not sign and optional:
+        if not sign and option.name == "fix":
             found[name] = None
             continue
         try:
             found[name] = float(value)
         except ValueError:
-            raise click.BadParameter(
-                f"expected NAME=VALUE with a number, got '{text}'", param_hint=option
-            ) from None
+            raise click.BadParameter(f"expected NAME=VALUE with a number, got '{text}'") from None
     return found
 
 
-def look_away(ignore: tuple[str, ...], size: tuple[int, int]) -> np.ndarray | None:
+def valid_pixels(ignore: tuple[str, ...], size: tuple[int, int]) -> np.ndarray | None:
     """(h, w), False inside the ``X,Y,W,H`` rectangles and where an image is not black."""
     if not ignore:
         return None
@@ -117,22 +147,23 @@ def look_away(ignore: tuple[str, ...], size: tuple[int, int]) -> np.ndarray | No
 
 def pair(text: str) -> tuple[float, float]:
     """``U,V`` -> two numbers."""
-    try:
-        u, v = (float(n) for n in text.split(","))
-    except ValueError:
-        raise click.BadParameter(f"expected U,V, got '{text}'", param_hint="--light") from None
+    u, v = _numbers(text, "U,V", "--light")
     return u, v
 
 
 def three(text: str | None, option: str) -> tuple[float, ...] | None:
     """``R,G,B`` -> three numbers."""
-    if text is None:
-        return None
+    return None if text is None else _numbers(text, "R,G,B", option)
+
+
+def _numbers(text: str, form: str, option: str) -> tuple[float, ...]:
     try:
-        r, g, b = (float(n) for n in text.split(","))
+        numbers = tuple(float(number) for number in text.split(","))
     except ValueError:
-        raise click.BadParameter(f"expected R,G,B, got '{text}'", param_hint=option) from None
-    return r, g, b
+        numbers = ()
+    if len(numbers) != len(form.split(",")):
+        raise click.BadParameter(f"expected {form}, got '{text}'", param_hint=option)
+    return numbers
 
 
 def whole(text: str) -> tuple[int, int]:

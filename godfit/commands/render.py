@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
 from godfit.commands.options import SHADER, pair, three, whole
+from godfit.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from godfit.scenes.scene import Scene
+
+PLANE = (
+    "rays", "method", "jitter", "grain", "seed", "published", "sun", "sky", "sun_angle",
+    "sun_width",
+)  # fmt: skip
+"""Options of the light in the plane alone."""
+VALUES = ("exposure", "decay", "density", "weight", "e_sun", "scale", "turbidity", "g")
+"""Options that are parameters of a model."""
 
 
 @click.command()
@@ -52,35 +66,7 @@ from godfit.commands.options import SHADER, pair, three, whole
     metavar="LEVELS",
     help="Largest error, in 8-bit levels, that a faster method may make. [default: exact]",
 )
-def render(
-    mask: str,
-    output: str,
-    model: str | None,
-    params: str | None,
-    shader: str | None,
-    samples: int | None,
-    phase: str | None,
-    fov: float | None,
-    distance: float | None,
-    source: str,
-    steps: int | None,
-    rays: int | None,
-    method: str | None,
-    sun: str | None,
-    sky: str | None,
-    jitter: bool,
-    grain: float | None,
-    seed: int | None,
-    published: bool,
-    light: tuple[str, ...],
-    background: str | None,
-    size: str | None,
-    pass_scale: float,
-    transfer: str,
-    bits: str,
-    tolerance: float | None,
-    **values: float | None,
-) -> int:
+def render(mask: str, output: str, transfer: str, bits: str, **options: Any) -> int:
     """Render the light of MASK, or of the scene SCENE.toml, with the given parameters or the
     shader's defaults.
 
@@ -88,81 +74,148 @@ def render(
     through the air of a SCENE.toml. Both need --e-sun and --scale. --model flatland takes a canvas:
     RGBA (colour emits, alpha hides, black and opaque throws shadows) or a .toml of shapes.
     """
-    from godfit.commands import rendering
-    from godfit.io.image import read_image, write_image
+    from godfit.io.image import write_image
     from godfit.report.record import read_params
-    from godfit.request import (
-        check_model,
-        daylight_from,
-        drawn,
-        model_from,
-        open_sky,
-        place_of,
-        shrink_mask,
-    )
 
+    tolerance = options["tolerance"]
     if tolerance is not None and not 0 <= tolerance < float("inf"):
         raise click.BadParameter(
             f"expected a number of levels, 0 or more, got {tolerance:g}", param_hint="--tolerance"
         )
-    lights = [pair(text) for text in light]
-    before = read_params(params) if params else {}
-    in_plane = {
-        "rays": rays, "method": method, "jitter": jitter or None, "grain": grain, "seed": seed,
-        "published": published or None, "sun": three(sun, "--sun"), "sky": three(sky, "--sky"),
-        "sun_angle": values.pop("sun_angle"), "sun_width": values.pop("sun_width"),
-    }  # fmt: skip
-    if (model or before.get("model")) == "flatland":
+    options["light"] = [pair(text) for text in options["light"]]
+    for name in ("sun", "sky"):
+        options[name] = three(options[name], f"--{name}")
+    # A flag that is not set was not given.
+    options |= {name: options[name] or None for name in ("jitter", "published")}
+    recorded = read_params(options["params"]) if options["params"] else {}
+    if (options["model"] or recorded.get("model")) == "flatland":
         from godfit.flatland.inputs import rendered
 
-        in_plane |= {"steps": steps, "exposure": values["exposure"]}
-        image = rendered(mask, before | given(in_plane))
-        write_image(output, image, transfer=transfer, bits=int(bits))
-        return 0
-    for name in given(in_plane):
-        raise click.UsageError(f"--{name.replace('_', '-')}: expected --model flatland with it")
-    stage, settings = None, {}
-    if mask.endswith(".toml"):
-        from godfit.scenes.scene import read_scene
-
-        stage = read_scene(mask)
-        settings = {**stage.settings, **place_of(stage)}
-        pass_scale = settings.pop("pass_scale", 1.0) if pass_scale == 1 else pass_scale
-        transfer = settings.pop("transfer", "none") if transfer == "none" else transfer
-    settings |= before
-    kind = model or settings.get("model", "mitchell")
-    if kind != "volume":
-        check_model(
-            kind, (), shader, 1 if kind == "mitchell" else max(len(lights), 1), fov, distance
-        )
-    settings |= given({"shader": shader, "samples": samples})
-    known = given(values)
-    back = None if background is None else read_image(background, transfer=transfer).values
-    if kind != "mitchell":
-        if stage is not None:
-            # That of a fit is a typical one; the scene has them all.
-            settings.pop("distance", None)
-        settings |= given({"fov": fov, "distance": distance, "phase": phase})
-        lit = daylight_from(settings, known, lights, stage)
-        if kind == "volume":
-            image = rendering.volume(lit, stage, back, source, steps or 128)
-        elif stage is None:
-            image = rendering.daylight(lit, read_image(mask).values, back)
-        else:
-            image = rendering.daylight(lit, drawn(open_sky(stage), True), back)
+        names = (*PLANE, "steps", "exposure")
+        image = rendered(mask, recorded | given(options, names))
     else:
-        lit = model_from(settings, known, lights)
-        if stage is None:
-            occlusion = read_image(mask).values
-        else:
-            occlusion = drawn(stage, stage.antialias is not False)
-        shape = whole(size) if size else (occlusion if back is None else back).shape[:2]
-        low = shrink_mask(occlusion, pass_scale)
-        image = rendering.mitchell(lit, low, back, shape, tolerance or 0.0)
+        for name in given(options, PLANE):
+            raise click.UsageError(f"--{name.replace('_', '-')}: expected --model flatland with it")
+        image, transfer = on_screen(mask, recorded, transfer, options)
     write_image(output, image, transfer=transfer, bits=int(bits))
     return 0
 
 
-def given(values: dict[str, Any]) -> dict[str, Any]:
-    """Those that were given."""
-    return {name: value for name, value in values.items() if value is not None}
+def on_screen(
+    mask: str, recorded: dict[str, Any], transfer: str, options: dict[str, Any]
+) -> tuple[np.ndarray, str]:
+    """The picture of a model that reads a mask or a scene, and the transfer of its file."""
+    from godfit.io.image import read_image
+    from godfit.request import check_model
+
+    scene, settings = None, {}
+    pass_scale = options["pass_scale"]
+    if mask.endswith(".toml"):
+        from godfit.scenes.scene import read_scene
+        from godfit.scenes.view import light_on_screen
+
+        scene = read_scene(mask)
+        settings = {**scene.settings, **light_on_screen(scene)}
+        pass_scale = settings.pop("pass_scale", 1.0) if pass_scale == 1 else pass_scale
+        transfer = settings.pop("transfer", "none") if transfer == "none" else transfer
+    settings |= recorded
+    lights, kind = options["light"], options["model"] or settings.get("model", "mitchell")
+    if kind != "volume":
+        count = 1 if kind == "mitchell" else max(len(lights), 1)
+        check_model(kind, (), options["shader"], count, options["fov"], options["distance"])
+    settings |= given(options, ("shader", "samples"))
+    background = None
+    if options["background"] is not None:
+        background = read_image(options["background"], transfer=transfer).values
+    draw = mitchell if kind == "mitchell" else daylight
+    picture = Picture(mask, scene, background, settings, lights, pass_scale)
+    return draw(picture, options), transfer
+
+
+class Picture(NamedTuple):
+    """What a picture is rendered from: the file of the mask or the scene, the ``scene`` if it is
+    one, the ordinary pass, settings, and lights (u, v)."""
+
+    mask: str
+    scene: Scene | None
+    background: np.ndarray | None
+    settings: dict[str, Any]
+    lights: list[tuple[float, float]]
+    pass_scale: float
+
+    def check_background(self, size: tuple[int, ...]) -> None:
+        """Raise InputError where the ordinary pass is not as large as the picture."""
+        back = self.background
+        if back is not None and back.shape[:2] != tuple(size):
+            raise InputError(
+                f"background: expected {size[1]}x{size[0]} pixels, got "
+                f"{back.shape[1]}x{back.shape[0]}"
+            )
+
+
+def mitchell(picture: Picture, options: dict[str, Any]) -> np.ndarray:
+    """Mitchell's sum, its light pass off by ``tolerance`` levels at most. All lights are summed by
+    one method, and their errors add up."""
+    import equinox as eqx
+    import numpy as np
+
+    from godfit.inference.observation import render
+    from godfit.io.image import read_image
+    from godfit.io.sources import shrink_mask
+    from godfit.models.build import mitchell_at
+    from godfit.runtime.device import on_device
+    from godfit.scattering.radial import cheapest
+    from godfit.scenes.view import drawn_mask
+
+    scene, background = picture.scene, picture.background
+    model = mitchell_at(picture.settings, given(options, VALUES), picture.lights)
+    if scene is None:
+        occlusion = read_image(picture.mask).values
+    else:
+        occlusion = drawn_mask(scene, scene.antialias is not False)
+    size = (occlusion if background is None else background).shape[:2]
+    if options["size"]:
+        size = whole(options["size"])
+    picture.check_background(size)
+    occlusion = shrink_mask(occlusion, picture.pass_scale)
+    if not options["tolerance"]:
+        return render(model, occlusion, background, size)
+    low, back = on_device(occlusion), None if background is None else on_device(background)
+    method = cheapest(low, model.light, model.taps[-1], options["tolerance"])
+    return np.clip(np.asarray(eqx.filter_jit(model)(low, back, size=size, method=method)), 0, 1)
+
+
+def daylight(picture: Picture, options: dict[str, Any]) -> np.ndarray:
+    """Hoffman and Preetham's daylight, past a mask that is 1 where the sky is seen; or, for the
+    model ``volume``, the same air, marched through a scene."""
+    import numpy as np
+
+    from godfit.inference.observation import render
+    from godfit.io.image import read_image
+    from godfit.models import volume
+    from godfit.models.build import daylight_at
+    from godfit.scenes.view import as_sky_mask, drawn_mask
+
+    scene, settings = picture.scene, dict(picture.settings)
+    if scene is not None:
+        # A fit records one typical distance; the scene has them all.
+        settings.pop("distance", None)
+    settings |= given(options, ("fov", "distance", "phase"))
+    model = daylight_at(settings, given(options, VALUES), picture.lights, scene)
+    if (options["model"] or settings.get("model")) == "volume":
+        if scene is None:
+            raise InputError("volume: expected a SCENE.toml, got an image; it has no depth")
+        picture.check_background(scene.size)
+        image = volume.render(
+            scene, model.air, np.asarray(model.view.distance), source=options["source"],
+            steps=options["steps"] or 128, background=picture.background,
+        )  # fmt: skip
+        return np.clip(image, 0, 1)
+    sky = read_image(picture.mask).values if scene is None else drawn_mask(as_sky_mask(scene), True)
+    picture.check_background(sky.shape[:2])
+    return render(model, sky, picture.background, (sky.shape[0], sky.shape[1]))
+
+
+def given(options: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
+    """Those of ``names`` that were given."""
+    return {name: options[name] for name in names if options[name] is not None}

@@ -10,11 +10,11 @@ import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import click
 
-from godfit.commands.options import look_away
+from godfit.commands.options import Run, valid_pixels
 from godfit.commands.progress import Progress, warn
 from godfit.errors import InputError
 
@@ -29,7 +29,7 @@ SETTINGS = {"model", "shader", "samples", "lights", "pass_scale", "transfer", "b
 
 
 class Study(NamedTuple):
-    """A target, where to look at it, what is known of it, and the folder for what is found."""
+    """A target, (h, w) which of its pixels count, the options of its fit, and the result's folder."""
 
     image: Image
     valid: np.ndarray | None
@@ -53,19 +53,15 @@ def folder_for(target: str, output: str | None) -> Path:
 
 
 def opened(
-    target: str,
-    given: Mapping[str, Any],
-    ignore: tuple[str, ...],
-    output: str | None,
-    *,
-    alone: bool = False,
+    target: str, given: Mapping[str, Any], output: str | None, *, bare: bool = False
 ) -> Study:
     """The target with its options: those of the file beside it, and ``given`` ones in their place.
-    ``alone`` it need not come with a mask or a scene."""
+    A ``bare`` one needs neither a mask nor a scene."""
     from godfit.io.image import read_image
     from godfit.io.sidecar import read_sidecar
 
     options = read_sidecar(target) | {k: v for k, v in given.items() if v is not None}
+    ignore = options.pop("ignore")
     folder = folder_for(target, output)
     # The target first: a missing one should not be reported as a missing mask.
     image = read_image(target, transfer=options.get("transfer", "none"))
@@ -75,18 +71,18 @@ def opened(
             options.pop(other, None)
     if "mask" in options and "scene" in options:
         raise click.UsageError("expected --mask or --scene, got both; a scene draws its own mask")
-    if "mask" not in options and "scene" not in options and not alone:
+    if "mask" not in options and "scene" not in options and not bare:
         raise click.UsageError(
             "expected --mask IMAGE or --scene SCENE.toml, or "
             f"{Path(target).with_suffix('.toml').name} beside the target naming one; got neither"
         )
-    return Study(image, look_away(ignore, image.values.shape[:2]), options, folder)
+    return Study(image, valid_pixels(ignore, image.values.shape[:2]), options, folder)
 
 
 @contextmanager
-def working(quiet: bool, verbose: bool) -> Iterator[Progress]:
-    """Say what is going on, keep what is compiled and no memory that nobody uses."""
-    with Progress(quiet, verbose) as progress:
+def working(run: Run) -> Iterator[Progress]:
+    """Show progress, and keep compiled programs and little memory."""
+    with Progress(run.quiet, run.verbose) as progress:
         progress("loading JAX")
         from godfit.runtime.cache import keep_compiled
         from godfit.runtime.malloc import keep_little
@@ -101,19 +97,19 @@ def working(quiet: bool, verbose: bool) -> Iterator[Progress]:
             remember()
 
 
-def made_ready(
-    options: dict[str, Any], quiet: bool, progress: Progress, size: tuple[int, ...] = ()
+def prepare(
+    options: dict[str, Any], run: Run, progress: Progress, size: tuple[int, ...] = ()
 ) -> None:
     """Put the scene itself in the place of its file, and say what is assumed. ``size`` is the
-    target's: for another one needs other programs."""
+    target's: another one needs other programs."""
     if "scene" in options:
         from godfit.scenes.scene import read_scene
 
         progress("loading meshes")
         options["scene"] = read_scene(options["scene"])
-    if options.get("model", "mitchell") == "mitchell" and not quiet:
+    if options.get("model", "mitchell") == "mitchell" and not run.quiet:
         say_assumed(options)
-    # While XLA compiles or its programs run, which need the interpreter little.
+    # In a thread: what XLA compiles or runs in the meantime needs the interpreter little.
     kernels = options.get("model", "mitchell") == "mitchell"
     settings = {name: options[name] for name in sorted(options) if name in SETTINGS}
     occasion = repr((sys.argv[1:2], size, settings))
@@ -148,24 +144,23 @@ def command_line() -> str:
     return shlex.join(["godfit", *sys.argv[1:]])
 
 
-def concluded(
-    notes: Iterable[str],
-    record: dict[str, Any],
-    summary: str,
-    files: str | None,
-    *,
-    as_json: bool,
-    quiet: bool,
-) -> None:
-    """Print warnings, and the record, or the summary with the files that were written."""
-    if not quiet:
+class Result(Protocol):
+    """What every study returns: a table, a record, and files."""
+
+    def summary(self) -> str: ...
+    def record(self, command: str = "") -> dict[str, Any]: ...
+
+
+def say(result: Result, notes: Iterable[str], run: Run, files: str = "") -> None:
+    """Print warnings, and the record, or the summary with the ``files`` that were written."""
+    if not run.quiet:
         for note in dict.fromkeys(notes):
             warn(note)
-    if as_json:
-        click.echo(json.dumps(record, indent=1, ensure_ascii=False))
+    if run.as_json:
+        click.echo(json.dumps(result.record(command_line()), indent=1, ensure_ascii=False))
     else:
-        click.echo(summary)
-        if files is not None:
+        click.echo(result.summary())
+        if files:
             click.echo(f"\n  {files}")
 
 

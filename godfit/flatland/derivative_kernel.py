@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from godfit.flatland.walk_kernel import LEFT, compiled, first_step, walk
+from godfit.flatland.walk_kernel import LEFT, first_step, walk
+from godfit.runtime.numba_jit import fast
 from godfit.runtime.xla_ffi import asks_version, matrix, result, vector
 
 
-@compiled
+@fast
 def _moved(free, cells, directions, sky, turn, numbers, whole, d_cells, d_sky, out):
     """``_picture``'s derivative along d_cells and d_sky."""
     real = free.dtype.type
@@ -48,7 +49,7 @@ def _moved(free, cells, directions, sky, turn, numbers, whole, d_cells, d_sky, o
                         to[c] += d_passing * sky[k, c] + passing * d_sky[k, c]
 
 
-@compiled
+@fast
 def _pulled(free, cells, directions, sky, turn, numbers, whole, pull, out):
     """``_moved``'s transpose: ``pull`` (h, 3 w), out (1, cells + rays kinds, 4)."""
     real = free.dtype.type
@@ -94,7 +95,7 @@ def _pulled(free, cells, directions, sky, turn, numbers, whole, pull, out):
                     to[cell, 3] -= passings[n] * lost
 
 
-@compiled
+@fast
 def _tangent(frame, real):
     if not asks_version(frame):
         _moved(
@@ -106,7 +107,7 @@ def _tangent(frame, real):
     return 0
 
 
-@compiled
+@fast
 def _transpose(frame, real):
     if not asks_version(frame):
         _pulled(

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.rays import enough, passing
 from godfit.flatland.sky import Sky
-from godfit.models.mitchell import AbstractModel, Vector
+from godfit.models.base import AbstractModel, Vector
 from godfit.scattering.parameters import Parameter
 
 PARAMETERS = (

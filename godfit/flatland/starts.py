@@ -9,8 +9,8 @@ import numpy as np
 
 from godfit.flatland.model import PARAMETERS, Flatland
 from godfit.flatland.sky import Sky
-from godfit.inference.observation import LEVELS, Picture
-from godfit.io.image import decode
+from godfit.inference.observation import Picture
+from godfit.io.image import LEVELS, decode
 
 PIXELS = 600
 ANGLES = np.arange(0.0, 360.0, 7.5)

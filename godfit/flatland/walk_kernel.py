@@ -8,27 +8,23 @@ from anywhere in a cell without meeting anything, or FILLED or OUTSIDE; ``cells`
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from godfit.runtime.cache import numba_keeps
+from godfit.runtime.numba_jit import fast
 
 FILLED, OUTSIDE = -1.0, -2.0
 # Pixels of a row whose rays go side by side, in vector registers.
 LANES = 32
 # How a walk ends: nothing more to see, outside, at its limit.
 SPENT, LEFT, ARRIVED = 0, 1, 2
-compiled = njit(
-    cache=numba_keeps(), nogil=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"}
-)
 
 
-@compiled
+@fast
 def inverse(component, real):
     """1 / component, large but finite for a ray along an axis."""
     return real(1) / component if abs(component) > 1e-9 else real(1e9)
 
 
-@compiled
+@fast
 def first_step(free, x, y, dx, dy, step, little):
     """Where a ray has left its own cell, whatever that holds, and the steps that ended inside."""
     real = free.dtype.type
@@ -48,7 +44,7 @@ def first_step(free, x, y, dx, dy, step, little):
     return max(max(free[row, column], real(0)), edge + little), used
 
 
-@compiled
+@fast
 def walk(free, cells, x, y, dx, dy, t, last, limit, step, little, steps, opaque, hits):
     """Filled cells that a ray from (x, y) crosses from ``t`` to ``limit`` on, in ``hits``, until
     ``opaque`` of them let nothing through: their number and how the walk ended. ``last`` is a cell
@@ -84,7 +80,7 @@ def walk(free, cells, x, y, dx, dy, t, last, limit, step, little, steps, opaque,
     return found, SPENT
 
 
-@compiled
+@fast
 def blend(cells, hits, found, ended, sky, light):
     """What the walk sees, in ``light`` (4,): radiance and what passes."""
     passing = light.dtype.type(1)

@@ -14,13 +14,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from godfit.inference.observation import LEVELS, Picture, render
+from godfit.inference.observation import Picture, render
 from godfit.inference.settle import Tangent
-from godfit.io.blocks import was_jpeg
 from godfit.io.filters import shrink
-from godfit.io.image import decode
+from godfit.io.image import LEVELS, decode
+from godfit.io.jpeg import was_jpeg
 from godfit.models.mitchell import Mitchell
-from godfit.search.screening import read_rays
+from godfit.scattering.radial.nearest import read_rays
 
 # Pixels that are asked.
 PIXELS = 1 << 12

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import dataclasses
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from godfit.models.mitchell import AbstractModel, Vector
-from godfit.report.result import Estimate
+from godfit.models.base import AbstractModel, Vector
 from godfit.runtime.program_cache import kept
+
+if TYPE_CHECKING:
+    pass
 
 
 class Told(NamedTuple):
@@ -130,3 +133,17 @@ def _sentences(
         held = ", ".join(f"{names[i]} (held at {values[i]:.6g})" for i in alone)
         said.append(f"not determined by this picture: {held}")
     return tuple(said)
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """A parameter's value; ``stderr`` is None where it is fixed or cannot be known. ``interval``
+    is the 95% interval of its profile likelihood, ``posterior`` the middle 95% of the posterior,
+    where these were asked for."""
+
+    value: float
+    stderr: float | None
+    fixed: bool = False
+    at_bound: bool = False
+    interval: tuple[float, float] | None = None
+    posterior: tuple[float, float] | None = None

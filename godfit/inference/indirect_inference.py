@@ -18,16 +18,16 @@ import numpy as np
 from scipy import ndimage
 from scipy.special import ndtri, stdtrit
 
+from godfit.inference.fitted import Found
 from godfit.inference.information import evidence
 from godfit.inference.noise import EXPLAINED, WITHIN_ROUNDING, log_likelihood_at
-from godfit.inference.observation import LEVELS, Picture, render
+from godfit.inference.observation import Picture, render
 from godfit.inference.settle import Settled, Tangent
 from godfit.inference.solver import linearise, solve_tangent
-from godfit.io.blocks import was_jpeg
-from godfit.io.image import encode
-from godfit.io.jpeg import compressed, settings_of
-from godfit.models.mitchell import AbstractModel, Mitchell
-from godfit.report.verdict import Found
+from godfit.io.image import LEVELS, encode
+from godfit.io.jpeg import compressed, settings_of, was_jpeg
+from godfit.models.base import AbstractModel
+from godfit.models.mitchell import Mitchell
 
 # Pictures made for each correction, the first of them of points so far away, in the coordinates'
 # scales and as a share of the picture: beyond a pixel or so a tangent says nothing.

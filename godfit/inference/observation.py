@@ -13,13 +13,12 @@ from jaxtyping import Array, Float, Int
 from scipy import ndimage
 
 from godfit.io.filters import blurred, blurred_at, over_channels, shrink
-from godfit.io.image import Image, encode
-from godfit.models.mitchell import AbstractModel
+from godfit.io.image import LEVELS, Image, encode
+from godfit.models.base import AbstractModel
 from godfit.runtime.device import on_device
 from godfit.runtime.program_cache import kept
 from godfit.scattering.upsample import Texels
 
-LEVELS = 255.0
 # Larger pictures are searched at this size: coordinates do not depend on it.
 SEARCH_SIZE = 1024
 # How much they vary is seen at this one.

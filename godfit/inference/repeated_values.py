@@ -17,7 +17,7 @@ from scipy.special import ndtri
 from godfit.inference.noise import EXPLAINED, best_sigma
 from godfit.inference.observation import Observation
 from godfit.inference.settle import Settled, Tangent, settle, tangent_at
-from godfit.models.mitchell import AbstractModel
+from godfit.models.base import AbstractModel
 
 # Levels within which values are alike, and so many of them that it is no chance.
 ALIKE, MANY = 1e-4, 4

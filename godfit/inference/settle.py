@@ -9,11 +9,11 @@ import numpy as np
 
 from godfit.inference.noise import EXPLAINED, FINAL_SIGMA_VALUES, best_sigma
 from godfit.inference.observation import Observation
+from godfit.inference.problem import PIXELS
 from godfit.inference.solver import linearise, solve_tangent
-from godfit.models.mitchell import AbstractModel
+from godfit.models.base import AbstractModel
 from godfit.runtime.blas import one_thread
 from godfit.runtime.program_cache import kept
-from godfit.search.multigrid import PIXELS
 
 # Of a picture that is only rounded, values nearest to the walls of their intervals that have a say,
 # least.

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from godfit.inference.likelihood import deviance_residuals, interval
 from godfit.inference.observation import Observation
-from godfit.models.mitchell import AbstractModel, Values, Vector
+from godfit.models.base import AbstractModel, Values, Vector
 from godfit.runtime.blas import one_thread
 from godfit.runtime.device import on_device
 from godfit.runtime.program_cache import kept

@@ -13,7 +13,6 @@ import dataclasses
 import hashlib
 import io
 import os
-import secrets
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -22,6 +21,10 @@ from typing import Any
 import numpy as np
 
 from godfit.errors import InputError
+from godfit.runtime.files import atomic_write
+
+LEVELS = 255.0
+"""8-bit levels from black to white; residuals and noise are given in them."""
 
 TRANSFERS = ("none", "srgb")
 FORMATS = "PNG, JPEG, TIFF, EXR or .npy"
@@ -148,25 +151,6 @@ def write_image(
     except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: libpng's
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{name!r}: cannot be written: {reason}") from error
-
-
-def atomic_write(path: str | os.PathLike[str], data: bytes) -> None:
-    """Write data to path, which then holds all of it or is as it was. Raises OSError.
-
-    The file is a new one with the umask's permissions, even where an old one is replaced.
-    """
-    name = os.fsdecode(path)
-    temporary = os.path.join(os.path.dirname(name), f".{secrets.token_hex(8)}.tmp")
-    try:
-        with open(temporary, "xb") as file:  # unlike tempfile's, open to whom the umask lets
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())  # the name must not reach the disk before the bytes
-        os.replace(temporary, name)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            os.unlink(temporary)
-        raise
 
 
 def _known(transfer: str) -> str:

@@ -17,8 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from godfit.models.base import FAINTEST, AbstractModel, Vector
 from godfit.models.disc_mask import from_light, occluded, occluded_slopes
-from godfit.models.mitchell import FAINTEST, AbstractModel, Mitchell, Vector
+from godfit.models.mitchell import Mitchell
 from godfit.models.tinted import TINT
 from godfit.runtime.device import on_device
 from godfit.scattering.parameters import SCATTERING, Parameter, light_parameters

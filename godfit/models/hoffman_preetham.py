@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from godfit.models.atmosphere import LEAST_TURBIDITY, Air, hoffman_preetham, zenith_angle
-from godfit.models.mitchell import AbstractModel, Vector
+from godfit.models.base import AbstractModel, Vector
 from godfit.scattering.parameters import Parameter, light_parameters
 from godfit.scattering.radial import radial_sum
 from godfit.scattering.taps import average

@@ -6,109 +6,23 @@ vector of ``coordinates`` and asks the model for the image.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
-from abc import abstractmethod
+import math
 from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from scipy import optimize
 
+from godfit.models.base import FAINTEST, AbstractModel, Vector
 from godfit.runtime.device import on_device
 from godfit.scattering.parameters import SCATTERING, Parameter, table
 from godfit.scattering.radial import radial_sum
 from godfit.scattering.taps import Convention, Taps, convention
 from godfit.scattering.upsample import Texels, at_pixels
-
-# By coordinate or by parameter; what lives between two calls is kept as a numpy array.
-Vector = Float[Array, " p"] | Float[np.ndarray, " p"]
-# Exposures and gains that are none: derivatives divide by their squares.
-FAINTEST = 1e-12
-# By pixel and channel.
-Values = Float[Array, " m"] | Float[np.ndarray, " m"]
-
-
-class AbstractModel(eqx.Module):
-    """What fit and report need to know of a model."""
-
-    name: eqx.AbstractClassVar[str]
-    # Coordinates are held where a picture leaves them open: this one last.
-    kept: eqx.AbstractClassVar[str]
-    # (open, other): where the first is open and the other is not, only their product is known.
-    product: eqx.AbstractClassVar[tuple[str, str]]
-    # Whether the cost has a dip for every band that taps leave, see ``dips.py``.
-    banded: eqx.AbstractClassVar[bool]
-    # Channels that the image has whatever the mask has.
-    channels: eqx.AbstractClassVar[int]
-    samples: eqx.AbstractVar[int]
-    light: eqx.AbstractVar[Float[Array, "lights 2"]]
-
-    @property
-    @abstractmethod
-    def settings(self) -> dict[str, str | int | float]:
-        """What was given and not fitted, for reports: the shader and the like."""
-
-    @property
-    @abstractmethod
-    def parameters(self) -> dict[str, Parameter]:
-        """The table of this model's parameters, by name."""
-
-    @property
-    @abstractmethod
-    def defaults(self) -> dict[str, float]:
-        """What parameters are where nothing is said of them."""
-
-    @property
-    def used(self) -> np.ndarray:
-        """(p,) False for parameters that say nothing here."""
-        return np.ones(len(self.parameters), bool)
-
-    @abstractmethod
-    def values(self) -> dict[str, Float[Array, ""]]:
-        """The parameters, by name, in the table's order."""
-
-    @abstractmethod
-    def coordinates(self) -> Float[Array, " p"]:
-        """The point in fit coordinates, one for each parameter and in their order."""
-
-    @abstractmethod
-    def moved(self, coordinates: Vector, held: Vector | None = None) -> AbstractModel:
-        """This model at another point. ``held`` holds parameters (not coordinates) at a value;
-        NaN leaves them free."""
-
-    @abstractmethod
-    def bounds(self) -> tuple[list[float], list[float]]:
-        """Lower and upper bounds of the coordinates."""
-
-    @abstractmethod
-    def linear(self) -> np.ndarray:
-        """(p,) True for coordinates that the light pass is linear in."""
-
-    @abstractmethod
-    def scales(self, coordinates: np.ndarray) -> np.ndarray:
-        """(p,) sizes that bring every coordinate's useful steps to order one. Unscaled,
-        Levenberg-Marquardt needs several times the steps."""
-
-    @abstractmethod
-    def ranges(self, coordinates: np.ndarray) -> np.ndarray:
-        """How far each coordinate could plausibly lie from where it is."""
-
-    @abstractmethod
-    def __call__(
-        self,
-        mask: Float[Array, "h w"] | Float[Array, "h w c"],
-        background: Float[Array, "..."] | None = None,
-        *,
-        size: tuple[int, int] | None = None,
-        pixels: Int[Array, " n"] | None = None,
-        texels: Texels | None = None,
-    ) -> Float[Array, "..."]:
-        """The image; see ``Mitchell``."""
-
-    def occlusion(self, mask: Float[Array, "h w"]) -> Float[Array, "h w"]:
-        """The mask that the light pass reads where ``mask`` is what was given."""
-        return mask
 
 
 class Mitchell(AbstractModel):
@@ -287,3 +201,42 @@ class Mitchell(AbstractModel):
         if self.convention.blend == "screen":
             return background + light - background * light
         return self.convention.background_gain * background + light
+
+
+def resampled(model: Mitchell, samples: int) -> Mitchell:
+    """``model`` with another number of samples and parameters that make up for it; density does
+    not go beyond 1."""
+    if samples == model.samples or model.convention.box:
+        return dataclasses.replace(model, samples=samples)
+    density = float(model.density)
+    kappa = -model.samples * math.log(max(float(model.decay), 1e-12)) / density
+    total, centroid = _moments(model)
+
+    def at(rho: float) -> Mitchell:
+        decay = math.exp(-kappa * rho / samples)
+        return eqx.tree_at(
+            lambda m: (m.decay, m.density),
+            dataclasses.replace(model, samples=samples),
+            (jnp.float32(decay), jnp.float32(rho)),
+        )
+
+    def off(rho: float) -> float:
+        return _moments(at(rho))[1] - centroid
+
+    low, high = 0.25 * density, 1.0
+    if off(low) < 0 < off(high):
+        rho = float(optimize.brentq(off, low, high, xtol=1e-9))  # pyright: ignore[reportArgumentType]
+    else:
+        rho = high if off(high) <= 0 else low
+    other = at(rho)
+    weight = float(model.weight) * total / max(_moments(other)[0], 1e-30)
+    return eqx.tree_at(lambda m: m.weight, other, jnp.float32(weight))
+
+
+def _moments(model: Mitchell) -> tuple[float, float]:
+    """Sum of the taps' weights but for the pixel's own, and their centroid along the ray."""
+    (taps,) = model.taps
+    c = float(taps.first) * float(taps.ratio) ** np.arange(taps.count, dtype=float)
+    t = float(taps.step) * np.arange(1, taps.count + 1)
+    total = float(c.sum())
+    return total, float(c @ t) / max(total, 1e-30)

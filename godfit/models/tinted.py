@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from godfit.models.mitchell import AbstractModel, Mitchell, Vector
+from godfit.models.base import AbstractModel, Vector
+from godfit.models.mitchell import Mitchell
 from godfit.runtime.device import on_device
 from godfit.scattering.parameters import Parameter
 from godfit.scattering.upsample import Texels, at_pixels

@@ -2,23 +2,74 @@
 
 from __future__ import annotations
 
-import io
-import json
+import dataclasses
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from godfit.io.image import atomic_write
-from godfit.report.text import SCHEMA, estimate, given, number, parameter_table, versions
-from godfit.studies.clip import ClipResult
+from godfit.inference.estimates import Estimate
+from godfit.models.base import AbstractModel
+from godfit.report.files import write_result
+from godfit.report.record import SCHEMA, estimate, versions
+from godfit.report.text import given, number, parameter_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def summary(result: ClipResult) -> str:
+class Frame(NamedTuple):
+    """What one frame alone says: its ``light`` (2,) with standard errors ``error`` (2,) and
+    ``params`` of the scattering; ``message`` says why it is left out, "" where it is not.
+    ``combined`` is as in ``FitResult``."""
+
+    name: str
+    light: np.ndarray
+    error: np.ndarray
+    params: dict[str, Estimate]
+    combined: dict[str, Estimate]
+    message: str
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ClipResult:
+    """What a clip says: ``params`` of the shader with their ``covariance`` (6, 6; NaN where held,
+    open, or a light's), ``frames`` in their order, ``shown`` (h, w, 3) a small copy of the
+    first."""
+
+    converged: bool
+    message: str
+    model: AbstractModel
+    params: dict[str, Estimate]
+    combined: dict[str, Estimate]
+    covariance: np.ndarray
+    frames: tuple[Frame, ...]
+    undetermined: tuple[str, ...]
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    timing_s: dict[str, float]
+    shown: np.ndarray
+
+    def summary(self) -> str:
+        """The table that the command line prints, as plain text."""
+        return _summary(self)
+
+    def record(self, command: str = "") -> dict[str, Any]:
+        """What fit.json holds."""
+        return _record(self, command)
+
+    def plot(self) -> Figure:
+        """A matplotlib figure: the light's path, and what each frame says of the shader."""
+        return _plot(self)
+
+    def save(self, folder: str | os.PathLike[str], command: str = "") -> None:
+        """Write fit.json and fit.png into ``folder``; raises OSError."""
+        record = ("fit.json", self.record(command))
+        write_result(Path(folder), record, ("fit.png", self.plot))
+
+
+def _summary(result: ClipResult) -> str:
     """A plain-text table: the shader, the light of every frame, and what remains open."""
     model, frames = result.model, result.frames
     lines = [f"{model.name} model, {given(model)}, {len(frames)} frames", ""]
@@ -39,7 +90,7 @@ def summary(result: ClipResult) -> str:
     return "\n".join(lines)
 
 
-def as_json(result: ClipResult, command: str = "") -> dict[str, Any]:
+def _record(result: ClipResult, command: str) -> dict[str, Any]:
     """The contents of fit.json: as of one picture, with ``frames`` in place of the light."""
     return {
         "schema": SCHEMA,
@@ -69,7 +120,7 @@ def as_json(result: ClipResult, command: str = "") -> dict[str, Any]:
     }
 
 
-def plot(result: ClipResult) -> Figure:
+def _plot(result: ClipResult) -> Figure:
     """The light's path over the first frame, and each parameter as every frame has it alone, with
     a band for all together."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -130,15 +181,3 @@ def _path(axes: Any, result: ClipResult) -> None:
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
     axes.tick_params(labelsize=8)
-
-
-def save(result: ClipResult, folder: str | os.PathLike[str], command: str = "") -> None:
-    """Write fit.json and fit.png into ``folder``; each appears whole or not at all. Raises
-    OSError."""
-    figure = io.BytesIO()
-    plot(result).savefig(figure, format="png", dpi=100)
-    place = Path(folder)
-    place.mkdir(parents=True, exist_ok=True)
-    atomic_write(place / "fit.png", figure.getvalue())
-    text = json.dumps(as_json(result, command), indent=1, ensure_ascii=False) + "\n"
-    atomic_write(place / "fit.json", text.encode())

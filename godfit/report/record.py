@@ -1,22 +1,84 @@
-"""A fit.json read again: the model it holds and the images that it was fitted with."""
+"""fit.json, written and read: a fit as a record, and the model and images that a record names."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import math
+import platform
+from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from godfit import request as inputs
 from godfit.errors import InputError
 from godfit.io.filters import shrink
 from godfit.io.image import read_image
+from godfit.models.build import mitchell_at
 from godfit.models.mitchell import Mitchell
 from godfit.scenes.scene import read_scene
+from godfit.scenes.view import drawn_mask
 
+if TYPE_CHECKING:
+    from godfit.inference.estimates import Estimate
+    from godfit.report.result import FitResult
+
+SCHEMA = 1
 SETTINGS = ("model", "shader", "samples", "rays", "phase", "fov", "distance")
+
+
+def fit_record(result: FitResult, command: str = "") -> dict[str, Any]:
+    """The contents of fit.json; numbers that are not finite become null."""
+    model = result.model
+    return {
+        "schema": SCHEMA,
+        "converged": result.converged,
+        "message": result.message,
+        "model": model.name,
+        **model.settings,
+        "params": {name: estimate(e) for name, e in result.params.items()},
+        "combined": {name: estimate(e) for name, e in result.combined.items()},
+        "correlations": {pair: round(value, 6) for pair, value in result.correlations.items()},
+        "undetermined": list(result.undetermined),
+        "warnings": list(result.warnings),
+        "notes": list(result.notes),
+        "noise_levels": _finite(result.noise_levels),
+        "rmse_levels": _finite(result.rmse_levels),
+        "psnr_db": _finite(result.psnr_db),
+        "residual_correlation": _finite(result.residual_correlation),
+        "residual_tails": _finite(result.residual_tails),
+        "log_likelihood": _finite(result.log_likelihood),
+        "size": list(result.picture.size[::-1]),
+        "pass_size": list(result.picture.mask.shape[1::-1]),
+        "transfer": result.picture.transfer,
+        "pixels": result.pixels,
+        "pixels_effective": round(result.pixels_effective, 1),
+        "starts_agreed": result.starts_agreed,
+        "pixels_clipped": result.pixels_clipped,
+        "timing_s": {k: round(v, 4) for k, v in result.timing_s.items()},
+        "inputs": result.inputs,
+        "versions": versions(),
+        "command": command,
+    }
+
+
+def estimate(e: Estimate) -> dict[str, Any]:
+    """A parameter's entry in fit.json."""
+    return {
+        "value": _finite(e.value),
+        "stderr": _finite(e.stderr),
+        "fixed": e.fixed,
+        "at_bound": e.at_bound,
+        **({"interval95": list(e.interval)} if e.interval else {}),
+        **({"posterior95": list(e.posterior)} if e.posterior else {}),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Of the program and what its numbers come from."""
+    names = ("godfit", "jax", "jaxlib", "equinox", "optimistix", "numpy")
+    return {"python": platform.python_version()} | {n: metadata.version(n) for n in names}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -70,7 +132,7 @@ def recorded(
         raise InputError(f"'{path}': expected a fit of mitchell, got {settings['model']}")
     if mask is not None and scene is not None:
         raise InputError("simplify: expected --mask or --scene, got both")
-    model = inputs.model_from(settings, {}, [])
+    model = mitchell_at(settings, {}, [])
     transfer = record.get("transfer", "none")
     files = record.get("inputs", {})
 
@@ -95,7 +157,7 @@ def recorded(
     elif stage is not None:
         drawn = read_scene(stage)
         notes += [f"scene: {note}" for note in drawn.notes]
-        occlusion = inputs.drawn(drawn, drawn.antialias is not False)
+        occlusion = drawn_mask(drawn, drawn.antialias is not False)
     else:
         raise InputError(f"'{path}': expected the path of a mask in it, got none; give --mask")
     place = found("background", background)
@@ -125,3 +187,7 @@ def _pair(record: dict[str, Any], key: str) -> tuple[int, int] | None:
     except (TypeError, ValueError) as error:
         raise InputError(f"fit.json: {key}: expected [width, height], got {record[key]}") from error
     return rows, columns
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None

@@ -5,31 +5,23 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from godfit.inference.estimates import Estimate
 from godfit.inference.evaluate import occlusion_of
-from godfit.inference.observation import LEVELS, Picture
-from godfit.io.image import decode
-from godfit.models.mitchell import AbstractModel
+from godfit.inference.observation import Picture
+from godfit.io.image import LEVELS, decode, write_image
+from godfit.models.base import AbstractModel
+from godfit.report.figure import plot
+from godfit.report.files import write_result
+from godfit.report.record import fit_record
+from godfit.report.text import html, summary
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-@dataclasses.dataclass(frozen=True)
-class Estimate:
-    """A parameter's value; ``stderr`` is None where it is fixed or cannot be known. ``interval``
-    is the 95% interval of its profile likelihood, ``posterior`` the middle 95% of the posterior,
-    where these were asked for."""
-
-    value: float
-    stderr: float | None
-    fixed: bool = False
-    at_bound: bool = False
-    interval: tuple[float, float] | None = None
-    posterior: tuple[float, float] | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -101,23 +93,24 @@ class FitResult:
 
     def summary(self) -> str:
         """The table that the command line prints, as plain text."""
-        from godfit.report.text import summary
-
         return summary(self)
+
+    def record(self, command: str = "") -> dict[str, Any]:
+        """What fit.json holds; numbers that are not finite are null."""
+        return fit_record(self, command)
 
     def plot(self) -> Figure:
         """A matplotlib figure: target, fitted, residual, parameters."""
-        from godfit.report.text import plot
-
         return plot(self)
 
-    def save(self, folder: str | os.PathLike[str]) -> None:
+    def save(self, folder: str | os.PathLike[str], command: str = "") -> None:
         """Write fit.json, fit.png and render.png into ``folder``; raises OSError."""
-        from godfit.report.text import save
 
-        save(self, folder)
+        def render(path: Path) -> None:
+            write_image(path, self.render(), transfer=self.picture.transfer)
+
+        record = ("fit.json", self.record(command))
+        write_result(Path(folder), record, ("fit.png", self.plot), {"render.png": render})
 
     def _repr_html_(self) -> str:
-        from godfit.report.text import html
-
         return html(self)

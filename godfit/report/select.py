@@ -1,27 +1,146 @@
-"""What ``godfit select`` leaves: select.json and select.png."""
+"""What ``godfit select`` leaves: its table, select.json and select.png."""
 
 from __future__ import annotations
 
-import io
-import json
+import dataclasses
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from godfit.inference.observation import LEVELS, Picture
-from godfit.io.image import atomic_write
-from godfit.report.text import as_json as record
-from godfit.report.text import worst_channel
-from godfit.studies.ladder import Rung
-from godfit.studies.select import CLEAR, Selection
+from godfit.inference.observation import Picture
+from godfit.inference.settle import Settled, Tangent
+from godfit.io.image import LEVELS
+from godfit.models.base import AbstractModel
+from godfit.report.figure import worst_channel
+from godfit.report.files import write_result
+from godfit.report.record import fit_record
+from godfit.report.result import FitResult
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+# A difference in a criterion that leaves the lesser model little support (Burnham & Anderson 2.6).
+CLEAR = 10.0
 
-def as_json(found: Selection, command: str = "") -> dict[str, Any]:
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Rung:
+    """A model fitted. ``shows`` says what it has that the rung below has not; ``parameters`` counts
+    what was fitted, the noise too. ``free`` and ``held`` are (p,), as in ``FitResult``; ``samples``
+    is None where there are none."""
+
+    name: str
+    shows: str
+    model: AbstractModel | None
+    settled: Settled
+    tangent: Tangent
+    free: np.ndarray
+    held: np.ndarray
+    parameters: int
+
+    @property
+    def values(self) -> dict[str, float]:
+        if self.model is None:
+            return {"veil": float(self.settled.coordinates[0])}
+        return {name: float(v) for name, v in self.model.values().items()}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Row:
+    """One rung judged. ``held_out`` is the log-likelihood of a value that was not fitted;
+    ``behind`` how much less that is than the best rung's, and ``behind_error`` its error."""
+
+    rung: Rung
+    rmse: float
+    aic: float
+    bic: float
+    held_out: float
+    behind: float
+    behind_error: float
+    like_noise: bool
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Selection:
+    """Rows from least to most. ``equivalent`` are shaders, with their parameters, that draw the
+    same picture as the recommended one; ``base`` is the fit of the whole shader."""
+
+    rows: tuple[Row, ...]
+    chosen: int
+    equivalent: dict[str, dict[str, float]]
+    base: FitResult
+    daylight: FitResult | None
+    seconds: float
+
+    @property
+    def recommended(self) -> Row:
+        return self.rows[self.chosen]
+
+    @property
+    def sentence(self) -> str:
+        """What the picture shows, and what it does not."""
+        row = self.recommended
+        shown = [r.rung.shows for r in self.rows[1 : self.chosen + 1] if r.rung.shows]
+        hidden = [r.rung.shows for r in self.rows[self.chosen + 1 :] if r.rung.shows]
+        said = f"'{row.rung.name}' is enough: "
+        said += f"the picture shows {_joined(shown)}" if shown else "the picture shows no rays"
+        if hidden:
+            said += f"; it does not show {_joined(hidden, 'or')}"
+        if not row.like_noise:
+            said += f"; no rung leaves only noise ({row.rmse:.2f} levels rms are left)"
+        if self.daylight is not None and self.prefers_daylight:
+            said += "; Hoffman and Preetham's daylight explains it better than any of them"
+        return said
+
+    @property
+    def prefers_daylight(self) -> bool:
+        return self.daylight is not None and (
+            -2 * self.daylight.log_likelihood < self.recommended.aic - CLEAR
+        )
+
+    def summary(self) -> str:
+        """A plain-text table."""
+        least = min(row.bic for row in self.rows)
+        wide = max(len(row.rung.name) for row in self.rows)
+        lines = [
+            f"    {'model':<{wide}} {'rms':>8} {'noise':>8} {'unknowns':>8} "
+            f"{'AIC':>13} {'BIC':>13} {'BIC - least':>12} {'held out':>10}"
+        ]
+        for i, row in enumerate(self.rows):
+            lines.append(
+                f"  {'>' if i == self.chosen else ' '} {row.rung.name:<{wide}} {row.rmse:8.3f} "
+                f"{row.rung.settled.sigma:8.3g} {row.rung.parameters:>8} {row.aic:13.1f} "
+                f"{row.bic:13.1f} {row.bic - least:12.1f} {row.held_out:10.5f}"
+            )
+        if self.daylight is not None:
+            lines.append(
+                f"    hoffman-preetham: {self.daylight.rmse_levels:.3f} levels rms, "
+                f"log-likelihood {self.daylight.log_likelihood:.1f}"
+            )
+        values = ", ".join(f"{k} {v:.6g}" for k, v in self.recommended.rung.values.items())
+        lines += ["", f"  {self.recommended.rung.name}: {values}"]
+        if len(self.equivalent) > 1:
+            lines.append(f"  one and the same picture: {_joined(list(self.equivalent))}")
+        lines += ["", f"  {self.sentence}"]
+        return "\n".join(lines)
+
+    def record(self, command: str = "") -> dict[str, Any]:
+        """What select.json holds."""
+        return _record(self, command)
+
+    def plot(self) -> Figure:
+        """The target, what every rung leaves of it, and what is left against the unknowns."""
+        return _plot(self)
+
+    def save(self, folder: str | os.PathLike[str], command: str = "") -> None:
+        """Write select.json and select.png into ``folder``; raises OSError."""
+        record = ("select.json", self.record(command))
+        write_result(Path(folder), record, ("select.png", self.plot))
+
+
+def _record(found: Selection, command: str) -> dict[str, Any]:
     """The contents of select.json."""
     rows = [
         {
@@ -46,25 +165,14 @@ def as_json(found: Selection, command: str = "") -> dict[str, Any]:
         "message": found.sentence,
         "rows": rows,
         "equivalent": found.equivalent,
-        "fit": record(found.base),
-        "hoffman_preetham": None if found.daylight is None else record(found.daylight),
+        "fit": fit_record(found.base),
+        "hoffman_preetham": None if found.daylight is None else fit_record(found.daylight),
         "seconds": round(found.seconds, 4),
         "command": command,
     }
 
 
-def save(found: Selection, folder: str | os.PathLike[str], command: str = "") -> None:
-    """Write select.json and select.png; each appears whole or not at all. Raises OSError."""
-    figure = io.BytesIO()
-    plot(found).savefig(figure, format="png", dpi=100)
-    place = Path(folder)
-    place.mkdir(parents=True, exist_ok=True)
-    atomic_write(place / "select.png", figure.getvalue())
-    text = json.dumps(as_json(found, command), indent=1, ensure_ascii=False) + "\n"
-    atomic_write(place / "select.json", text.encode())
-
-
-def plot(found: Selection) -> Figure:
+def _plot(found: Selection) -> Figure:
     """The target, what every rung leaves of it, and what is left against the unknowns."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -119,3 +227,7 @@ def _residual(rung: Rung, picture: Picture) -> np.ndarray:
     left = np.where(picture.clipped[..., None], 0, drawn - picture.levels)
     left = np.where(picture.valid[..., None], left, np.nan)
     return left if picture.channels == 3 else left[..., 0]
+
+
+def _joined(words: list[str], last: str = "and") -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"

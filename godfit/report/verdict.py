@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from godfit.inference import diagnostics, sandwich
-from godfit.inference.estimates import estimates
+from godfit.inference.estimates import Estimate, estimates
 from godfit.inference.evaluate import model_at
-from godfit.inference.information import Evidence, Misfit, misfit
+from godfit.inference.fitted import Found
+from godfit.inference.information import Misfit, misfit
 from godfit.inference.noise import WITHIN_ROUNDING
-from godfit.inference.observation import LEVELS, Observation, Picture
+from godfit.inference.observation import Picture
 from godfit.inference.settle import Settled, Tangent
 from godfit.inference.solver import linearise
-from godfit.models.mitchell import AbstractModel
-from godfit.report.result import Estimate, FitResult
+from godfit.io.image import LEVELS
+from godfit.report.result import FitResult
 
 # Error of the light's place, as a share of the picture, that is no place.
 ANYWHERE = 0.1
@@ -30,32 +30,6 @@ STRUCTURED = (
     "what is left is not noise ({:.2f} levels, neighbours correlated by {:.2f}): background or "
     "occluders are more than the model has"
 )
-
-
-@dataclass
-class Found:
-    """Where a fit ended. ``free`` and ``held`` (p,) say what moved and where the rest was held;
-    ``opened`` are the coordinates that the picture leaves open, each with those it trades with."""
-
-    model: AbstractModel
-    picture: Picture
-    seen: Observation
-    settled: Settled
-    at: Evidence
-    free: np.ndarray
-    held: np.ndarray
-    opened: list[tuple[int, list[int]]]
-    inquire: bool = True
-    # What may be wrong, and why the answer is not to be believed at all, in words.
-    remarks: tuple[str, ...] = ()
-    objection: str = ""
-    # Of the coordinates (p,), where what was taken as known is a little different.
-    shifts: tuple[np.ndarray, ...] = ()
-    starts_agreed: tuple[int, int] | None = None
-    # What another reading of the images, which explains far more, says was wrong.
-    remedy: diagnostics.Suspect | None = None
-    # Covariance of the coordinates (p, p), where a known cause of what is left was simulated.
-    scatter: np.ndarray | None = None
 
 
 class Spread(NamedTuple):

@@ -45,7 +45,7 @@ def keep_compiled() -> None:
 def newest_source() -> int:
     """When a file of the program was last changed (ns): numba looks at a function's own file alone,
     and would keep using what it has taken in from others."""
-    return max(file.stat().st_mtime_ns for file in Path(__file__).parent.rglob("*.py"))
+    return max(file.stat().st_mtime_ns for file in Path(__file__).parents[1].rglob("*.py"))
 
 
 @functools.cache

@@ -37,8 +37,8 @@ import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 
-from godfit.io.image import atomic_write
 from godfit.runtime.cache import cache_folder, newest_source
+from godfit.runtime.files import atomic_write
 
 CALLED = re.compile(r"custom_call @(\w+)")
 LAPACK = "lapack_"

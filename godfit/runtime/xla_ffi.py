@@ -19,12 +19,12 @@ import jax
 from numba import (
     carray,  # pyright: ignore[reportPrivateImportUsage]
     cfunc,
-    njit,
     types,
 )
 from numba.extending import intrinsic
 
 from godfit.runtime.cache import numba_keeps
+from godfit.runtime.numba_jit import inlined
 
 _WORDS = types.CPointer(types.int64)
 _METADATA = 1
@@ -43,11 +43,8 @@ _pointer: Any = intrinsic(
 )
 _words: Any = intrinsic(lambda _, address: (_WORDS(address), _cast))
 
-# Taken in by whoever calls them: each is small, and compiling them on their own takes longer.
-_compiled = njit(inline="always")
 
-
-@_compiled
+@inlined
 def asks_version(frame):
     """Whether this is no call but a question for the version of the interface. The answer is the
     caller's own: nothing is used here that a version changes."""
@@ -60,7 +57,7 @@ def asks_version(frame):
     return True
 
 
-@_compiled
+@inlined
 def vector(frame, index, kind):
     """Argument ``index``, of rank 1, numbers of ``kind``."""
     buffer = _words(_words(frame[_ARGUMENTS])[index])
@@ -68,7 +65,7 @@ def vector(frame, index, kind):
     return carray(_pointer(buffer[_DATA], kind), (size[0],))
 
 
-@_compiled
+@inlined
 def matrix(frame, index, kind):
     """Argument ``index``, of rank 2."""
     buffer = _words(_words(frame[_ARGUMENTS])[index])
@@ -76,7 +73,7 @@ def matrix(frame, index, kind):
     return carray(_pointer(buffer[_DATA], kind), (size[0], size[1]))
 
 
-@_compiled
+@inlined
 def result(frame, kind):
     """The first result, of rank 3."""
     buffer = _words(_words(frame[_RESULTS])[0])

@@ -16,12 +16,15 @@ import numpy as np
 from godfit.inference.information import Evidence, evidence, misfit
 from godfit.inference.noise import EXPLAINED, SIGMAS, WITHIN_ROUNDING
 from godfit.inference.observation import Observation, Picture
+from godfit.inference.problem import PIXELS
+from godfit.inference.repeated_values import counted_once
+from godfit.inference.scan import DOUBT, predictions
 from godfit.inference.settle import Settled, settle, veil
 from godfit.inference.solver import solve
 from godfit.io.filters import blurred_at
-from godfit.models.mitchell import AbstractModel
-from godfit.search.density_scan import BEYOND_DOUBT, DOUBT, RIVALS, predictions, reseed, rivals
-from godfit.search.multigrid import LADDER, PIXELS
+from godfit.models.base import AbstractModel
+from godfit.search.density_scan import BEYOND_DOUBT, RIVALS, reseed, rivals
+from godfit.search.multigrid import LADDER
 
 # Most corrections for one blur, and the share of a coordinate by which none is worth another.
 CORRECTIONS, STILL = 3, 1e-3
@@ -250,3 +253,40 @@ def correct(
             if np.allclose(z, before, rtol=STILL, atol=STILL / 10):
                 break
     return z
+
+
+def likeliest(
+    picture: Picture,
+    model: AbstractModel,
+    candidates: list[np.ndarray],
+    seen: Observation,
+    free: np.ndarray,
+    held: np.ndarray,
+    seed: int,
+) -> tuple[Settled, Evidence, Observation]:
+    """The likeliest of the candidates and, where density is in doubt, of the dips around them, on
+    all pixels of ``seen``; flat areas are counted once in the end."""
+    if len(candidates) == 1:
+        settled, tangent, counted = counted_once(candidates[0], model, seen, free, held, [])
+        at = evidence(settled, tangent, counted)
+        if not (model.banded and in_doubt(settled, at, model, free)):
+            return settled, at, counted
+        candidates = [settled.coordinates]
+        # The derivatives of every pixel would only fill the memory.
+        del tangent
+    settled, tangent = max(
+        (settle(z, model, seen, free, held) for z in candidates),
+        key=lambda found: found[0].log_likelihood,
+    )
+    at = evidence(settled, tangent, seen)
+    first, known = settled, [tangent]
+    del tangent
+    settled, at = next_dips(settled, at, model, seen, free, held)
+    settled, at = beat_rivals(settled, at, model, picture, seen, free, held, seed)
+    settled, at = beat_distant(settled, at, model, picture, seen, free, held, seed)
+    if settled.sigma > EXPLAINED:
+        return settled, at, seen
+    if settled is not first:
+        known.clear()
+    settled, tangent, counted = counted_once(settled.coordinates, model, seen, free, held, known)
+    return settled, evidence(settled, tangent, counted), counted

@@ -16,14 +16,16 @@ from jaxtyping import Array, Float
 
 from godfit.inference.likelihood import deviance_residuals
 from godfit.inference.observation import Observation, Picture
+from godfit.inference.problem import PIXELS
+from godfit.inference.scan import DOUBT, bottoms, predictions
 from godfit.inference.settle import Settled, settle
 from godfit.inference.solver import Point, solve
-from godfit.models.mitchell import AbstractModel, Vector
+from godfit.models.base import AbstractModel, Vector
 from godfit.runtime.blas import one_thread
 from godfit.runtime.device import on_device
 from godfit.runtime.parallel import side_by_side
 from godfit.runtime.program_cache import kept
-from godfit.search.multigrid import LADDER, PIXELS
+from godfit.search.multigrid import LADDER
 
 # A dip of density is about 1/samples wide.
 FAR_VALUES, NEAR_VALUES = 400, 120
@@ -33,8 +35,6 @@ SETTLED = 4
 SCAN_PIXELS = 1 << 9
 # Dips either way that are looked into, and how many of them are tried.
 RIVAL_DIPS, RIVALS = 6, 2
-# Log-likelihood on some of the pixels by which a point that is ahead on all may be behind.
-DOUBT = 8.0
 # And by which one, on a quarter of these and not settled yet, cannot be.
 BEYOND_DOUBT = 32.0
 
@@ -161,14 +161,6 @@ def _projected(
 
 
 @kept
-def predictions(
-    points: Float[Array, "n p"], held: Vector, model: AbstractModel, seen: Observation
-) -> Float[Array, "n m"]:
-    """Levels of the model at each of ``points``."""
-    return jax.lax.map(lambda z: seen.predict(model.moved(z, held)), points)
-
-
-@kept
 def _costs(
     levels: Float[Array, "n m"], seen: Observation, sigma: Float[Array, ""]
 ) -> Float[Array, " n"]:
@@ -249,13 +241,6 @@ def reseed(
         points = [p for p in points if p.cost <= far]
     found = side_by_side(lambda p: settle(p.coordinates, model, seen, free, held)[0], points)
     return sorted([start, *found], key=lambda s: -s.log_likelihood)
-
-
-def bottoms(costs: np.ndarray) -> np.ndarray:
-    """Indices where ``costs`` (n,) are finite and no neighbour is less."""
-    costs = np.where(np.isfinite(costs), costs, np.inf)
-    around = np.pad(costs, 1, constant_values=np.inf)
-    return np.flatnonzero(np.isfinite(costs) & (costs <= around[:-2]) & (costs <= around[2:]))
 
 
 def _apart(points: list[Point], along: int, near: float) -> list[Point]:

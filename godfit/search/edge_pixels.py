@@ -16,13 +16,14 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import sparse
 
-from godfit import request as inputs
-from godfit.inference.observation import LEVELS, Picture
+from godfit.inference.observation import Picture
 from godfit.inference.solver import linearise, solve
 from godfit.io.filters import shrink
+from godfit.io.image import LEVELS
 from godfit.models.mitchell import Mitchell
 from godfit.scattering.radial.coordinates import to_pixels
 from godfit.scenes.scene import Scene
+from godfit.scenes.view import drawn_mask
 from godfit.search import density_minima
 from godfit.search.multigrid import climb
 
@@ -56,7 +57,7 @@ def agreed(
     if not free.any():
         return picture
     point = climb(picture.small, model, begun, free, held, seed, lambda text: None).coordinates
-    smooth = dataclasses.replace(picture, mask=inputs.drawn(scene, True))
+    smooth = dataclasses.replace(picture, mask=drawn_mask(scene, True))
     z = _sharp(picture, model, point, free, held, seed)
     if scene.antialias is None:
         soft = _sharp(smooth, model, point, free, held, seed)

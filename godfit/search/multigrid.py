@@ -12,10 +12,9 @@ import numpy as np
 
 from godfit.inference.observation import Observation, Picture
 from godfit.inference.solver import Point, solve
-from godfit.models.mitchell import AbstractModel
+from godfit.models.base import AbstractModel
 from godfit.runtime.parallel import ahead
 
-PIXELS = 2048
 # What is blurred needs fewer.
 BLURRED_PIXELS = 256
 # Blur (as a share of the longer side), starts kept, sigma in levels.

@@ -10,12 +10,13 @@ import numpy as np
 from scipy import ndimage
 
 from godfit.inference import diagnostics
+from godfit.inference.fitted import Found
 from godfit.inference.information import evidence, misfit
 from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.observation import Picture
+from godfit.inference.problem import PIXELS
 from godfit.inference.settle import Settled, settle
 from godfit.io.filters import grey
-from godfit.report.verdict import Found
 from godfit.search import multigrid
 from godfit.search.density_minima import HOPELESS
 
@@ -38,7 +39,7 @@ def again(found: Found, starts: list[np.ndarray], seed: int, say: Callable[[str]
     """The likelier of the fit and what each of ``starts``, climbed from on its own, leads to; with
     how many of them ended where it is."""
     model, picture, free, held = found.model, found.picture, found.free, found.held
-    seen = picture.observe(picture.informative(multigrid.PIXELS, seed))
+    seen = picture.observe(picture.informative(PIXELS, seed))
     own, _ = settle(found.settled.coordinates, model, seen, free, held)
     ends, best = [], own
     for start in starts:
@@ -122,7 +123,7 @@ def _anew(found: Found, read: Picture, begin: Callable[[Picture], list[np.ndarra
 
 
 def _settled(found: Found, read: Picture, start: np.ndarray, seed: int) -> Settled:
-    seen = read.observe(read.informative(multigrid.PIXELS, seed))
+    seen = read.observe(read.informative(PIXELS, seed))
     return settle(start, found.model, seen, found.free, found.held)[0]
 
 

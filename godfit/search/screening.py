@@ -11,29 +11,26 @@ from __future__ import annotations
 import itertools
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 from scipy import ndimage
 
-from godfit.inference.observation import LEVELS, Picture
+from godfit.inference.observation import Picture
 from godfit.io.filters import grey, shrink
-from godfit.io.image import decode
+from godfit.io.image import LEVELS, decode
 from godfit.models.mitchell import Mitchell
 from godfit.runtime.device import on_device
 from godfit.runtime.parallel import in_halves
 from godfit.runtime.program_cache import kept
-from godfit.scattering.radial.coordinates import to_pixels
+from godfit.scattering.radial.nearest import DENSITIES, STEPS, read_rays
 
 SIZE = 64
-STEPS = 48
 POINTS = 512
 # Lights drawn where it is bright: so many that all lights are an even number.
 SPOTS = 65
 KAPPAS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 7.0, 11.0, 18.0, 30.0)
-DENSITIES = (0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.0)
 
 
 def light_grid(target: np.ndarray, seed: int) -> np.ndarray:
@@ -51,26 +48,6 @@ def light_grid(target: np.ndarray, seed: int) -> np.ndarray:
     drawn = rng.choice(h * w, min(SPOTS, h * w), replace=False, p=bright / bright.sum())
     spots = np.stack([(drawn % w + 0.5) / w, 1 - (drawn // w + 0.5) / h], -1)
     return np.concatenate([lattice, rings, spots])
-
-
-@kept
-def read_rays(
-    mask: Float[Array, "h w"], light: Float[Array, "lights 2"], at: Float[Array, "points 2"]
-) -> Float[Array, "lights steps points"]:
-    """Mask along the ray from every point to every light, at the middles of STEPS equal steps, from
-    the nearest texels: good enough for ``mask`` of twice the resolution that ``at`` is in."""
-    h, w = mask.shape
-    x, y = 2 * at[:, 0] + 0.5, 2 * at[:, 1] + 0.5
-    t = (jnp.arange(STEPS, dtype=mask.dtype)[:, None] + 0.5) / STEPS
-    flat = mask.ravel()
-
-    def one(light):
-        light_x, light_y = to_pixels(light, h, w)
-        column = jnp.clip(jnp.round(x[None] + t * (light_x - x)[None]), 0, w - 1)
-        row = jnp.clip(jnp.round(y[None] + t * (light_y - y)[None]), 0, h - 1)
-        return flat.at[(row * w + column).astype(jnp.int32)].get(mode="promise_in_bounds")
-
-    return jax.vmap(one)(light)
 
 
 @kept

@@ -16,12 +16,13 @@ from jax import lax
 from jaxtyping import Array, Float
 from scipy import ndimage
 
-from godfit.inference.observation import LEVELS, Picture
+from godfit.inference.observation import Picture
 from godfit.io.filters import grey, shrink
-from godfit.io.image import decode
+from godfit.io.image import LEVELS, decode
 from godfit.models.atmosphere import zenith_angle
 from godfit.models.hoffman_preetham import LEAST_DEPTH, HoffmanPreetham
-from godfit.search.screening import SIZE, apart, light_grid, places_for, read_rays
+from godfit.scattering.radial.nearest import read_rays
+from godfit.search.screening import SIZE, apart, light_grid, places_for
 
 POINTS = 256
 TURBIDITIES, LOBES, DEPTHS = (1.3, 2.5, 6.0), (0.0, 0.5, 0.75, 0.9), (0.05, 0.4, 1.2, 3.0)

@@ -9,8 +9,6 @@ pooled number by number, see ``pooling.py``.
 
 from __future__ import annotations
 
-import dataclasses
-import os
 import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, NamedTuple
@@ -18,23 +16,25 @@ from typing import TYPE_CHECKING, NamedTuple
 import jax
 import numpy as np
 
-from godfit import request as inputs
 from godfit.blind import unaided
 from godfit.errors import InputError
 from godfit.inference.estimates import estimates
+from godfit.inference.fitted import Found
+from godfit.inference.problem import given_and_held
 from godfit.io.filters import shrink
 from godfit.io.image import Image
+from godfit.io.sources import Source, read_source
+from godfit.models.base import FAINTEST, AbstractModel, Vector
+from godfit.models.build import mitchell_template
 from godfit.models.disc_light import DiscLight
-from godfit.models.mitchell import FAINTEST, AbstractModel, Vector
-from godfit.report.result import Estimate
-from godfit.report.verdict import Found, spread
-from godfit.request import Source
+from godfit.report.clip import ClipResult, Frame
+from godfit.report.verdict import spread
 from godfit.runtime.program_cache import kept
 from godfit.scattering.parameters import SCATTERING
 from godfit.studies.pooling import Pool, pooled
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
 SHARED = len(SCATTERING)
 # Longest side of the copy of a frame that the report shows.
@@ -42,57 +42,6 @@ SHOWN = 640
 TOO_FEW = "only {} of {} frames agree on the shader; look at their own fits, one by one"
 LEFT_OUT = "{} of {} frames are left out, as they do not agree with the others"
 SCATTERED = "frames scatter {:.2g} times as much as they quote; errors are widened by that"
-
-
-class Frame(NamedTuple):
-    """What one frame alone says: its ``light`` (2,) with standard errors ``error`` (2,) and
-    ``params`` of the scattering; ``message`` says why it is left out, "" where it is not.
-    ``combined`` is as in ``FitResult``."""
-
-    name: str
-    light: np.ndarray
-    error: np.ndarray
-    params: dict[str, Estimate]
-    combined: dict[str, Estimate]
-    message: str
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class ClipResult:
-    """What a clip says: ``params`` of the shader with their ``covariance`` (6, 6; NaN where held,
-    open, or a light's), ``frames`` in their order, ``shown`` (h, w, 3) a small copy of the
-    first."""
-
-    converged: bool
-    message: str
-    model: AbstractModel
-    params: dict[str, Estimate]
-    combined: dict[str, Estimate]
-    covariance: np.ndarray
-    frames: tuple[Frame, ...]
-    undetermined: tuple[str, ...]
-    warnings: tuple[str, ...]
-    notes: tuple[str, ...]
-    timing_s: dict[str, float]
-    shown: np.ndarray
-
-    def summary(self) -> str:
-        """The table that the command line prints, as plain text."""
-        from godfit.report.clip import summary
-
-        return summary(self)
-
-    def plot(self) -> Figure:
-        """A matplotlib figure: the light's path, and what each frame says of the shader."""
-        from godfit.report.clip import plot
-
-        return plot(self)
-
-    def save(self, folder: str | os.PathLike[str]) -> None:
-        """Write fit.json and fit.png into ``folder``; raises OSError."""
-        from godfit.report.clip import save
-
-        save(self, folder)
 
 
 class _Answer(NamedTuple):
@@ -136,16 +85,16 @@ def fit_clip(
     cannot be read, and for fewer than two.
     """
     began = time.perf_counter()
-    shading = inputs.template(shader or "mitchell", samples, 1)
+    shading = mitchell_template(shader or "mitchell", samples, 1)
     fix, start, say = fix or {}, start or {}, progress or (lambda text: None)
     answers: list[_Answer] = []
     notes: list[str] = []
     warnings: list[str] = []
     shown = np.zeros((0, 0, 3))
     with jax.enable_x64(False):
-        held = inputs.parameters(shading, fix, start)[1]
+        held = given_and_held(shading, fix, start)[1]
         for source in frames:
-            image = inputs.image(source, "none")
+            image = read_source(source, "none")
             count = len(answers) + 1
             name = image.path or f"frame {count}"
             _check_size(name, image, valid)

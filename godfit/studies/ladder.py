@@ -13,47 +13,27 @@ from collections.abc import Callable, Mapping
 import jax.numpy as jnp
 import numpy as np
 
-from godfit.fitting import pixels_used
 from godfit.inference import sample_count
 from godfit.inference import settle as settling
 from godfit.inference.information import misfit
 from godfit.inference.noise import EXPLAINED, WITHIN_ROUNDING
 from godfit.inference.observation import Observation
-from godfit.inference.settle import Settled, Tangent, settle
-from godfit.models.mitchell import AbstractModel, Mitchell
+from godfit.inference.problem import PIXELS, pixels_used
+from godfit.inference.scan import DOUBT
+from godfit.inference.settle import Tangent, settle
+from godfit.models.base import AbstractModel
+from godfit.models.mitchell import Mitchell
 from godfit.models.tinted import Tinted
 from godfit.report.result import FitResult
+from godfit.report.select import Rung
 from godfit.runtime.parallel import side_by_side
 from godfit.search import multigrid, screening
-from godfit.search.density_scan import DOUBT
 
 # What DawnTime and Vesper ship, for shaders that publish no defaults.
 SHIPPED = {"decay": 0.99, "density": 0.8, "weight": 0.8}
 # Values that rungs are fitted to: enough for differences that anyone would see.
 VALUES = 1 << 15
 Say = Callable[[str], None]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Rung:
-    """A model fitted. ``shows`` says what it has that the rung below has not; ``parameters`` counts
-    what was fitted, the noise too. ``free`` and ``held`` are (p,), as in ``FitResult``; ``samples``
-    is None where there are none."""
-
-    name: str
-    shows: str
-    model: AbstractModel | None
-    settled: Settled
-    tangent: Tangent
-    free: np.ndarray
-    held: np.ndarray
-    parameters: int
-
-    @property
-    def values(self) -> dict[str, float]:
-        if self.model is None:
-            return {"veil": float(self.settled.coordinates[0])}
-        return {name: float(v) for name, v in self.model.values().items()}
 
 
 class Ladder:
@@ -65,7 +45,7 @@ class Ladder:
         self.base, self.shader, self.seed, self.say = base, base.model, seed, say
         self.picture = base.picture
         self.seen = self.picture.observe(pixels_used(self.picture, seed, VALUES))
-        self.few = self.picture.observe(self.picture.informative(multigrid.PIXELS, seed))
+        self.few = self.picture.observe(self.picture.informative(PIXELS, seed))
         self.views = list(multigrid.blurred_views(self.picture.small, seed))
         published = self.shader.convention.defaults
         self.held = {name: published.get(name, SHIPPED[name]) for name in SHIPPED}

@@ -17,10 +17,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from godfit.errors import SIMULATED, InputError
-from godfit.fitting import pixels_used
 from godfit.inference.information import evidence
 from godfit.inference.likelihood import interval
 from godfit.inference.noise import SIGMAS
+from godfit.inference.problem import pixels_used
 from godfit.inference.repeated_values import relieved
 from godfit.inference.settle import Settled, Tangent
 from godfit.inference.solver import linearise

@@ -23,13 +23,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from godfit.errors import SIMULATED, InputError
-from godfit.fitting import pixels_used
 from godfit.inference.information import evidence
 from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.observation import Observation
+from godfit.inference.problem import pixels_used
 from godfit.inference.repeated_values import relieved
 from godfit.inference.settle import Settled, Tangent, aim, settle
-from godfit.models.mitchell import AbstractModel, Vector
+from godfit.models.base import AbstractModel, Vector
 from godfit.report.result import FitResult
 
 # The 95% quantile of chi-squared with one degree of freedom, and its root.

@@ -8,7 +8,6 @@ difference between two models is (Vuong, Econometrica 57 (1989), 307).
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import time
 from collections.abc import Callable
@@ -18,109 +17,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from godfit import request as inputs
 from godfit.errors import InputError
 from godfit.fitting import fit
 from godfit.inference.likelihood import log_likelihood
 from godfit.inference.noise import EXPLAINED
 from godfit.inference.observation import Observation
 from godfit.inference.solver import solve_tangent
+from godfit.io.sources import Source, read_source
 from godfit.models.mitchell import Mitchell
 from godfit.report.result import FitResult
-from godfit.request import Source
+from godfit.report.select import CLEAR, Row, Rung, Selection
 from godfit.runtime.parallel import side_by_side
 from godfit.scattering.taps import CONVENTIONS
 from godfit.scenes.scene import Scene, read_scene
-from godfit.studies.ladder import VALUES, Ladder, Rung, like_noise
+from godfit.scenes.view import in_single_precision, light_on_screen
+from godfit.studies.ladder import VALUES, Ladder, like_noise
 
-# A difference in a criterion that leaves the lesser model little support (Burnham & Anderson 2.6).
-CLEAR = 10.0
 # Pixels a side of the blocks that are held out, and values that are enough to tell.
 BLOCK, HELD_OUT_VALUES = 16, 1 << 16
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Row:
-    """One rung judged. ``held_out`` is the log-likelihood of a value that was not fitted;
-    ``behind`` how much less that is than the best rung's, and ``behind_error`` its error."""
-
-    rung: Rung
-    rmse: float
-    aic: float
-    bic: float
-    held_out: float
-    behind: float
-    behind_error: float
-    like_noise: bool
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Selection:
-    """Rows from least to most. ``equivalent`` are shaders, with their parameters, that draw the
-    same picture as the recommended one; ``base`` is the fit of the whole shader."""
-
-    rows: tuple[Row, ...]
-    chosen: int
-    equivalent: dict[str, dict[str, float]]
-    base: FitResult
-    daylight: FitResult | None
-    seconds: float
-
-    @property
-    def recommended(self) -> Row:
-        return self.rows[self.chosen]
-
-    @property
-    def sentence(self) -> str:
-        """What the picture shows, and what it does not."""
-        row = self.recommended
-        shown = [r.rung.shows for r in self.rows[1 : self.chosen + 1] if r.rung.shows]
-        hidden = [r.rung.shows for r in self.rows[self.chosen + 1 :] if r.rung.shows]
-        said = f"'{row.rung.name}' is enough: "
-        said += f"the picture shows {_joined(shown)}" if shown else "the picture shows no rays"
-        if hidden:
-            said += f"; it does not show {_joined(hidden, 'or')}"
-        if not row.like_noise:
-            said += f"; no rung leaves only noise ({row.rmse:.2f} levels rms are left)"
-        if self.daylight is not None and self.prefers_daylight:
-            said += "; Hoffman and Preetham's daylight explains it better than any of them"
-        return said
-
-    @property
-    def prefers_daylight(self) -> bool:
-        return self.daylight is not None and (
-            -2 * self.daylight.log_likelihood < self.recommended.aic - CLEAR
-        )
-
-    def summary(self) -> str:
-        """A plain-text table."""
-        least = min(row.bic for row in self.rows)
-        wide = max(len(row.rung.name) for row in self.rows)
-        lines = [
-            f"    {'model':<{wide}} {'rms':>8} {'noise':>8} {'unknowns':>8} "
-            f"{'AIC':>13} {'BIC':>13} {'BIC - least':>12} {'held out':>10}"
-        ]
-        for i, row in enumerate(self.rows):
-            lines.append(
-                f"  {'>' if i == self.chosen else ' '} {row.rung.name:<{wide}} {row.rmse:8.3f} "
-                f"{row.rung.settled.sigma:8.3g} {row.rung.parameters:>8} {row.aic:13.1f} "
-                f"{row.bic:13.1f} {row.bic - least:12.1f} {row.held_out:10.5f}"
-            )
-        if self.daylight is not None:
-            lines.append(
-                f"    hoffman-preetham: {self.daylight.rmse_levels:.3f} levels rms, "
-                f"log-likelihood {self.daylight.log_likelihood:.1f}"
-            )
-        values = ", ".join(f"{k} {v:.6g}" for k, v in self.recommended.rung.values.items())
-        lines += ["", f"  {self.recommended.rung.name}: {values}"]
-        if len(self.equivalent) > 1:
-            lines.append(f"  one and the same picture: {_joined(list(self.equivalent))}")
-        lines += ["", f"  {self.sentence}"]
-        return "\n".join(lines)
-
-
-def _joined(words: list[str], last: str = "and") -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
 
 
 def select(
@@ -146,9 +60,9 @@ def select(
             scene = read_scene(scene)
         place = (0.5, 0.5) if light is None else light
         if light is None and scene is not None:
-            on_screen = inputs.place_of(inputs.single(scene))
+            on_screen = light_on_screen(in_single_precision(scene))
             place = on_screen["light_x"], on_screen["light_y"]
-        source = inputs.image(target, options.get("transfer", "none"))
+        source = read_source(target, options.get("transfer", "none"))
         geometry = scene is not None or (fov is not None and distance is not None)
         channels = 3 if geometry else None
         base = fit(

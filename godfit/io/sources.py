@@ -1,0 +1,51 @@
+"""Images as users give them: files, arrays, and what is done to masks before they are summed."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+
+from godfit.errors import InputError
+from godfit.io.filters import shrink
+from godfit.io.image import Image, decode, read_image
+
+Source = str | os.PathLike[str] | np.ndarray | Image
+
+
+def read_source(source: Source, transfer: str) -> Image:
+    """A file, an ``Image`` as it is, or an array; see ``godfit.fit``."""
+    if isinstance(source, Image):
+        return source
+    if isinstance(source, (str, os.PathLike)):
+        return read_image(source, transfer=transfer)
+    array = np.asarray(source)
+    if array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,)) or 0 in array.shape:
+        raise InputError(f"image: expected shape (h, w) or (h, w, 3), got {array.shape}")
+    quantum = {np.dtype(np.uint8): 1 / 255, np.dtype(np.uint16): 1 / 65535}.get(array.dtype)
+    top = 1.0 if quantum is None else round(1 / quantum)
+    values = (array.astype(np.float64) / top).astype(np.float32)
+    if not np.isfinite(values).all():
+        raise InputError("image: expected finite numbers, got NaN or infinity")
+    return Image(np.asarray(decode(values, transfer)), quantum, transfer, "", "")
+
+
+def occluder_mask(occluder: Image, target: Image) -> np.ndarray:
+    """(h, w) True where the image is not black."""
+    (h, w), (height, width) = target.values.shape[:2], occluder.values.shape[:2]
+    if (h, w) != (height, width):
+        raise InputError(
+            f"occluder: expected the target's {w}x{h} pixels, got {width}x{height}; "
+            "draw it over the target"
+        )
+    return np.asarray((np.atleast_3d(occluder.values) > 0).any(-1))
+
+
+def shrink_mask(mask: np.ndarray, pass_scale: float) -> np.ndarray:
+    """The mask at the light pass's own size, averaged over cells."""
+    if not 0 < pass_scale <= 1:
+        raise InputError(f"pass scale: expected a number above 0, at most 1, got {pass_scale:g}")
+    if pass_scale == 1:
+        return mask
+    h, w = (max(1, round(n * pass_scale)) for n in mask.shape[:2])
+    return shrink(mask, (h, w))

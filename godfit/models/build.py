@@ -1,0 +1,157 @@
+"""Models from settings: a shader or an atmosphere, with values or without."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from godfit.errors import InputError
+from godfit.models.atmosphere import Air
+from godfit.models.base import AbstractModel
+from godfit.models.hoffman_preetham import HoffmanPreetham, View
+from godfit.models.mitchell import Mitchell
+from godfit.models.staged import Staged
+from godfit.scattering.parameters import is_light
+from godfit.scattering.taps import convention
+from godfit.scenes.scene import Scene
+from godfit.scenes.view import visible_in
+
+# Of Hoffman-Preetham where nothing is said: degrees, metres, taps that D is averaged over.
+FOV, DISTANCE, AVERAGED = 60.0, 1000.0, 100
+
+
+def mitchell_at(
+    settings: Mapping[str, Any], values: Mapping[str, float], lights: Sequence[tuple[float, float]]
+) -> Mitchell:
+    """A model at a point. ``settings`` (of a fit) give way to ``values`` and ``lights``, and what
+    neither gives is the shader's default; a light without any is in the middle."""
+    shader = convention(settings.get("shader", "mitchell"))
+    count = len(lights) or sum(is_light(k) for k in settings) // 2 or 1
+    model = mitchell_template(shader.name, settings.get("samples"), count)
+    places = {}
+    for i, (u, v) in enumerate(lights):
+        stem = "light" if i == 0 else f"light{i + 1}"
+        places |= {f"{stem}_x": u, f"{stem}_y": v}
+    point = {}
+    for name in model.parameters:
+        fallback = 0.5 if is_light(name) else shader.defaults.get(name)
+        value = places.get(name, values.get(name, settings.get(name, fallback)))
+        if value is None and name in shader.parameters:
+            raise InputError(f"{name}: expected a value, got none; '{shader.name}' has no default")
+        point[name] = 1.0 if value is None else float(value)
+    check_values(model, point, "render")
+    light = [point[name] for name in point if is_light(name)]
+    return Mitchell(
+        point["exposure"],
+        point["decay"],
+        point["density"],
+        point["weight"],
+        light,
+        shader.name,
+        model.samples,
+    )
+
+
+def mitchell_template(shader: str, samples: int | None, lights: int) -> Mitchell:
+    """A model of the right kind, at no particular point."""
+    if samples is not None and not 2 <= samples <= 100_000:
+        raise InputError(f"samples: expected a whole number from 2 to 100000, got {samples}")
+    if not 1 <= lights <= 8:
+        raise InputError(f"lights: expected 1 to 8, got {lights}")
+    return Mitchell(1.0, 0.9, 0.5, 0.5, [[0.5, 0.5]] * lights, shader, samples)
+
+
+def check_values(model: AbstractModel, values: Mapping[str, float], option: str) -> None:
+    for name, value in values.items():
+        row = model.parameters[name]
+        if not (row.lower <= value <= row.upper and np.isfinite(value)):
+            raise InputError(
+                f"{option}: expected {name} from {row.lower:g} to {row.upper:g}, got {value:g}"
+            )
+
+
+def daylight_template(
+    scene: Scene | None,
+    fov: float | None,
+    distance: float | np.ndarray | None,
+    samples: int | None,
+) -> tuple[HoffmanPreetham, tuple[str, ...]]:
+    """The model of Hoffman and Preetham at no particular point, and what was assumed for it."""
+    samples = AVERAGED if samples is None else samples
+    if not 2 <= samples <= 100_000:
+        raise InputError(f"samples: expected a whole number from 2 to 100000, got {samples}")
+    if scene is not None:
+        if fov is not None:
+            raise InputError("fov: expected none with a scene, whose camera has one; leave it out")
+        if isinstance(distance, np.ndarray):
+            raise InputError("distance: expected a number with a scene, got an array")
+        view, assumed = view_of_scene(scene, distance), ()
+    else:
+        assumed = tuple(
+            f"{name}: {number:g} {unit} assumed; give --{name}"
+            for name, number, unit, value in (
+                ("fov", FOV, "degrees", fov), ("distance", DISTANCE, "metres", distance)
+            )
+            if value is None
+        )  # fmt: skip
+        view = View(DISTANCE if distance is None else distance, fov or FOV)
+    return HoffmanPreetham(Air(), [0.5, 0.5], view, samples), assumed
+
+
+def daylight_at(
+    settings: Mapping[str, Any],
+    values: Mapping[str, float],
+    lights: Sequence[tuple[float, float]],
+    scene: Scene | None,
+) -> HoffmanPreetham:
+    """Hoffman and Preetham's model at a point, as ``model_from``. Raises InputError where the sun's
+    irradiance or the air's scale, which have no default, are not given."""
+    fov = None if scene is not None else settings.get("fov")
+    model, _ = daylight_template(scene, fov, settings.get("distance"), settings.get("samples"))
+    places: dict[str, float] = {}
+    if lights:
+        places = {"light_x": lights[0][0], "light_y": lights[0][1]}
+    point = {}
+    for name in model.parameters:
+        fallback = 0.5 if is_light(name) else model.defaults.get(name)
+        value = places.get(name, values.get(name, settings.get(name, fallback)))
+        if value is None:
+            option = name.replace("_", "-")
+            raise InputError(f"{name}: expected a value, got none; give --{option}")
+        point[name] = float(value)
+    check_values(model, point, "render")
+    air = Air(
+        point["turbidity"], point["g"], point["e_sun"], point["scale"],
+        phase=settings.get("phase", "normalised"),
+    )  # fmt: skip
+    return HoffmanPreetham(air, (point["light_x"], point["light_y"]), model.view, model.samples)
+
+
+def view_of_scene(scene: Scene, distance: float | None = None) -> View:
+    """How the scene's camera sees it: what lies where nothing is drawn, and the light, which stands
+    for the sun, are ``distance`` away, or at ``camera.far``."""
+    seen = visible_in(scene)
+    label, depth = np.asarray(seen.label), np.asarray(seen.depth)
+    sky = scene.camera.far if distance is None else distance
+    h, w = scene.size
+    flat = View(1.0, float(scene.camera.fov_y))
+    direction = np.asarray(flat.seen((h, w), jnp.arange(h * w))[1]).reshape(h, w, 3)
+    # Depth is along the view, distance along the ray.
+    along = np.where(label >= 2, depth, 1.0) / -direction[..., 2]
+    up = np.asarray(scene.camera_axes(), float) @ np.array([0.0, 1.0, 0.0])
+    away = np.where(label >= 2, np.minimum(along, sky), sky).astype(np.float32)
+    return View(away, float(scene.camera.fov_y), (up[0], up[1], up[2]))
+
+
+def staged_template(model: Mitchell, scene: Scene, names: Sequence[str]) -> Staged:
+    """The model that draws its own mask, ``names`` of the scene free."""
+    if model.light.shape[0] != 1:
+        raise InputError("lights: expected 1 with a scene, which has one; fit with a mask instead")
+    if len(set(names)) < len(names):
+        raise InputError(f"free: expected each name once, got {', '.join(names)}")
+    for name in names:
+        scene.value(name)
+    return Staged(model, scene, names)

@@ -1,0 +1,147 @@
+"""What ``godfit compare`` leaves: its table, compare.json and compare.png."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from godfit.io.image import LEVELS, encode
+from godfit.report.figure import worst_channel
+from godfit.report.files import write_result
+from godfit.report.record import fit_record
+from godfit.report.result import FitResult
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# A difference in a criterion that leaves the lesser model little support (Burnham & Anderson 2.6).
+CLEAR = 10.0
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Row:
+    """One model fitted. ``parameters`` counts what was fitted and is determined, the noise too."""
+
+    name: str
+    result: FitResult
+    parameters: int
+    aic: float
+    bic: float
+    seconds: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Comparison:
+    """Rows in the order of their BIC, the best first."""
+
+    rows: tuple[Row, ...]
+    target: np.ndarray
+
+    @property
+    def best(self) -> Row:
+        return self.rows[0]
+
+    @property
+    def sentence(self) -> str:
+        """What the picture says about the models, in words."""
+        best = self.best
+        model = best.result.model.name
+        others = [row for row in self.rows if row.result.model.name != model]
+        if not others:
+            return f"{best.name} has the lowest BIC"
+        ahead = others[0].bic - best.bic
+        said = f"{best.name} is preferred: its BIC is {ahead:.4g} below that of {others[0].name}"
+        if ahead < CLEAR:
+            said = f"{best.name} and {others[0].name} explain it alike: BIC differs by {ahead:.2g}"
+        if not best.result.converged:
+            said += (
+                f"; neither leaves only noise ({best.result.rmse_levels:.2f} levels rms are left)"
+            )
+        return said
+
+    def summary(self) -> str:
+        """A plain-text table."""
+        wide = max(len(row.name) for row in self.rows)
+        lines = [
+            f"  {'model':<{wide}} {'rms':>7} {'parameters':>10} {'AIC':>13} {'BIC':>13} {'s':>6}"
+        ]
+        for row in self.rows:
+            state = "" if row.result.converged else "  not converged"
+            lines.append(
+                f"  {row.name:<{wide}} {row.result.rmse_levels:7.3f} {row.parameters:>10} "
+                f"{row.aic:13.1f} {row.bic:13.1f} {row.seconds:6.2f}{state}"
+            )
+        for row in self.rows:
+            values = ", ".join(f"{k} {e.value:.6g}" for k, e in row.result.params.items())
+            lines.append(f"\n  {row.name}: {values}")
+            lines += [f"    {note}" for note in row.result.undetermined]
+        lines += ["", f"  {self.sentence}"]
+        return "\n".join(lines)
+
+    def record(self, command: str = "") -> dict[str, Any]:
+        """What compare.json holds."""
+        return _record(self, command)
+
+    def plot(self) -> Figure:
+        """The target and every fit above, what each leaves below."""
+        return _plot(self)
+
+    def save(self, folder: str | os.PathLike[str], command: str = "") -> None:
+        """Write compare.json and compare.png into ``folder``; raises OSError."""
+        record = ("compare.json", self.record(command))
+        write_result(Path(folder), record, ("compare.png", self.plot))
+
+
+def _record(found: Comparison, command: str) -> dict[str, Any]:
+    """The contents of compare.json."""
+    fits = [
+        {
+            "name": row.name,
+            "parameters": row.parameters,
+            "aic": row.aic,
+            "bic": row.bic,
+            "seconds": round(row.seconds, 4),
+            "fit": fit_record(row.result),
+        }
+        for row in found.rows
+    ]
+    return {"schema": 1, "preferred": found.best.name, "message": found.sentence, "fits": fits,
+            "command": command}  # fmt: skip
+
+
+def _plot(found: Comparison) -> Figure:
+    """The target and every fit above, what each leaves below."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    count = len(found.rows) + 1
+    height, width = found.target.shape[:2]
+    tall = 3.0 * min(max(height / width, 0.3), 2.0)
+    figure = Figure(figsize=(3.2 * count, 2 * tall + 1.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, count, squeeze=False)
+    step = max(1, max(height, width) // 768)
+    residuals = [worst_channel(row.result.residual) for row in found.rows]
+    limit = max(1.0, min(float(np.nanquantile(np.abs(r), 0.99)) for r in residuals))
+    picture = found.rows[0].result.picture
+    axes[0, 0].imshow(np.clip(picture.levels / np.float32(LEVELS), 0, 1)[::step, ::step])
+    axes[0, 0].set_title("target", fontsize=10)
+    axes[1, 0].axis("off")
+    axes[1, 0].text(0, 1, found.sentence, wrap=True, va="top", fontsize=9)
+    for i, (row, residual) in enumerate(zip(found.rows, residuals, strict=True), 1):
+        fitted = np.asarray(encode(row.result.render(), picture.transfer))
+        axes[0, i].imshow(fitted[::step, ::step])
+        axes[0, i].set_title(f"{row.name}\n{row.result.rmse_levels:.2f} levels rms", fontsize=10)
+        shown = axes[1, i].imshow(
+            residual[::step, ::step], cmap="RdBu_r", vmin=-limit, vmax=limit,
+            interpolation="nearest",
+        )  # fmt: skip
+    figure.colorbar(shown, ax=axes[1, 1:], label="fitted - target, levels", shrink=0.9)
+    for panel in axes.flat:
+        panel.set_xticks([])
+        panel.set_yticks([])
+    return figure

@@ -1,0 +1,72 @@
+"""What fewer samples come to: a sentence, settings to paste, JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from godfit.models.mitchell import Mitchell
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Simpler:
+    """The cheapest setting found: ``scale`` is that of the light pass's sides. ``worst`` and
+    ``rms`` are its error in levels against ``full``; ``saving`` is how many times fewer taps a
+    picture takes. ``tolerance`` is what was allowed, of the error that ``by`` names, "worst" or
+    "rms"."""
+
+    full: Mitchell
+    model: Mitchell
+    scale: float
+    worst: float
+    rms: float
+    saving: float
+    tolerance: float
+    by: str
+
+    @property
+    def sentence(self) -> str:
+        """What the picture needs, in words."""
+        few, many = self.model.samples, self.full.samples
+        if self.saving == 1:
+            return f"this picture needs all of its {many} samples"
+        said = f"this picture needs {few} samples, not {many}"
+        if few == many:
+            said = f"this picture needs its {many} samples"
+        if self.scale < 1:
+            said += f", and a light pass of {self.scale:g} times the sides"
+        return f"{said}: {self.saving:.3g} times fewer taps"
+
+    def summary(self) -> str:
+        """The sentence, and what to paste into the shader."""
+        said = f"off by {self.worst:.3g} levels at most, {self.rms:.3g} rms"
+        settings = [("samples", str(self.model.samples))]
+        settings += [(name, f"{value:.9g}") for name, value in _numbers(self.model).items()]
+        if self.scale < 1:
+            settings.append(("pass scale", f"{self.scale:g}"))
+        wide = max(len(name) for name, _ in settings)
+        lines = [f"  {name:<{wide}} = {value}" for name, value in settings]
+        return "\n".join([self.sentence, f"  ({said})", "", *lines])
+
+    def record(self, command: str = "") -> dict[str, Any]:
+        """What ``godfit simplify --json`` prints; ``godfit render --params`` reads it."""
+        return {
+            "schema": 1,
+            "message": self.sentence,
+            "model": self.model.name,
+            "shader": self.model.shader,
+            "samples": self.model.samples,
+            "pass_scale": self.scale,
+            "params": {name: {"value": value} for name, value in _numbers(self.model).items()},
+            "tolerance_levels": self.tolerance,
+            "by": self.by,
+            "worst_levels": self.worst,
+            "rms_levels": self.rms,
+            "saving": self.saving,
+            "full_samples": self.full.samples,
+            "command": command,
+        }
+
+
+def _numbers(model: Mitchell) -> dict[str, float]:
+    return {name: float(value) for name, value in model.values().items()}

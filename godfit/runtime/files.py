@@ -1,0 +1,26 @@
+"""Files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+
+
+def atomic_write(path: str | os.PathLike[str], data: bytes) -> None:
+    """Write data to path, which then holds all of it or is as it was. Raises OSError.
+
+    The file is a new one with the umask's permissions, even where an old one is replaced.
+    """
+    name = os.fsdecode(path)
+    temporary = os.path.join(os.path.dirname(name), f".{secrets.token_hex(8)}.tmp")
+    try:
+        with open(temporary, "xb") as file:  # unlike tempfile's, open to whom the umask lets
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())  # the name must not reach the disk before the bytes
+        os.replace(temporary, name)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.unlink(temporary)
+        raise
