@@ -370,7 +370,10 @@ def _hold_open(found: Found, given: dict[str, float]) -> Found:
     """Settle again with what the picture leaves open held, if there is such."""
     model, free, coordinates = found.model, found.free.copy(), found.settled.coordinates.copy()
     more = undetermined(
-        found.at.blunt, model.ranges(coordinates), free, list(model.parameters).index(model.kept)
+        found.at.blunt,
+        model.ranges(coordinates),
+        free,
+        list(model.parameters).index(model.held_last),
     )
     if not more:
         return found

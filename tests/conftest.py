@@ -61,7 +61,6 @@ COMPILED = (
     "godfit.blind.consensus",
     "godfit.scattering.mask_jacobian",
     "godfit.blind.disc_sums",
-    "godfit.models.disc_box",
     "godfit.models.disc_kernel",
     "godfit.flatland.walk_kernel",
     "godfit.flatland.render_kernel",
@@ -69,7 +68,7 @@ COMPILED = (
     "godfit.flatland.cascade_kernel",
     "godfit.scattering.radial.strips_kernel",
     "godfit.runtime.xla_ffi",
-    "godfit.scattering.radial.spacings",
+    "godfit.inference.sample_count_kernel",
 )
 compiled = {name: importlib.import_module(name) for name in COMPILED}
 for name in [n for n in sys.modules if n.split(".")[0] == "godfit"]:

@@ -476,10 +476,10 @@ def test_bytes_and_transfer_are_kept_beside_the_values(tmp_path):
 
 def test_heavy_readers_are_imported_only_when_needed():
     code = (
-        "import sys, godfit.image; "
+        "import sys, godfit.io.image; "
         "print(*{'tifffile', 'OpenEXR', 'imagecodecs', 'PIL', 'jax'} & {*sys.modules})"
     )
-    root = Path(image.__file__).parents[1]
+    root = Path(image.__file__).parents[2]
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "\n", "")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from godfit import Mitchell
-from godfit.runtime import program_cache as kept
+from godfit.runtime import program_cache
 from godfit.runtime.cache import SWITCH
 from godfit.scattering.radial.exact import EXACT
 
@@ -28,12 +28,12 @@ def another_run(monkeypatch, tmp_path):
     monkeypatch.setenv(SWITCH, str(tmp_path))
 
     def begin():
-        kept.forget_programs()
-        kept.keep_programs()
+        program_cache.forget_programs()
+        program_cache.keep_programs()
         return [file for file in tmp_path.rglob("*") if file.is_file()]
 
     yield begin
-    kept.forget_programs()
+    program_cache.forget_programs()
 
 
 def made(traced):
@@ -43,7 +43,7 @@ def made(traced):
 
     # Its name must be that of no other: it is found by it.
     light.__qualname__ = "light"
-    return kept.kept(light)
+    return program_cache.cached_jit(light)
 
 
 def test_a_program_is_traced_once(traced, another_run):
@@ -150,7 +150,7 @@ def test_what_cannot_be_kept_is_compiled(traced, another_run):
         traced.append(1)
         return jax.pure_callback(np.sin, jax.ShapeDtypeStruct(x.shape, x.dtype), x)
 
-    sine = kept.kept(called_back)
+    sine = program_cache.cached_jit(called_back)
     np.testing.assert_allclose(sine(MASK), np.sin(MASK))
     assert not another_run()
     np.testing.assert_allclose(sine(MASK), np.sin(MASK))
@@ -176,7 +176,7 @@ def test_a_model_comes_back_as_one(traced, another_run):
     expected = MODEL.moved(z)
     for _ in range(2):
         another_run()
-        found, (same, named) = kept.kept(moved)(MODEL, z)
+        found, (same, named) = program_cache.cached_jit(moved)(MODEL, z)
         assert isinstance(found, Mitchell)
         assert (found.shader, found.samples) == (MODEL.shader, MODEL.samples)
         for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
@@ -190,32 +190,34 @@ def test_a_model_comes_back_as_one(traced, another_run):
 def loaded(monkeypatch):
     """The names of files that programs are read from, in order."""
     names = []
-    load = kept._loaded
-    monkeypatch.setattr(kept, "_loaded", lambda file: names.append(file.name) or load(file))
+    load = program_cache._loaded
+    monkeypatch.setattr(
+        program_cache, "_loaded", lambda file: names.append(file.name) or load(file)
+    )
     return names
 
 
 def test_what_was_needed_last_time_is_read_ahead(traced, another_run, loaded):
     another_run()
     light = made(traced)
-    kept.read_ahead("a picture")
+    program_cache.read_ahead("a picture")
     expected = [light(MODEL, MASK, times)[0] for times in (3, 1, 2)]
-    kept.remember()
+    program_cache.remember()
     needed = [*loaded]
     loaded.clear()
     another_run()
-    kept.read_ahead("a picture")
+    program_cache.read_ahead("a picture")
     assert loaded == needed
     # Asked in another order, and not all of them.
     for times, image in ((2, expected[2]), (3, expected[0])):
         np.testing.assert_array_equal(light(MODEL, MASK, times)[0], image)
     assert loaded == needed
-    kept.remember()
+    program_cache.remember()
     loaded.clear()
     another_run()
-    kept.read_ahead("another picture")
+    program_cache.read_ahead("another picture")
     assert loaded == []
-    kept.read_ahead("a picture")
+    program_cache.read_ahead("a picture")
     assert loaded == [needed[2], needed[0]]
     assert traced == [3, 1, 2]
 
@@ -223,13 +225,13 @@ def test_what_was_needed_last_time_is_read_ahead(traced, another_run, loaded):
 def test_what_cannot_be_read_ahead_is_made_when_it_is_needed(traced, another_run, loaded):
     another_run()
     light = made(traced)
-    kept.read_ahead("a picture")
+    program_cache.read_ahead("a picture")
     expected = light(MODEL, MASK, 1)[0]
-    kept.remember()
+    program_cache.remember()
     for file in another_run():
         if file.name == loaded[0]:
             file.write_bytes(b"half a program")
-    kept.read_ahead("a picture")
+    program_cache.read_ahead("a picture")
     np.testing.assert_array_equal(light(MODEL, MASK, 1)[0], expected)
     assert traced == [1, 1]
 
@@ -237,13 +239,13 @@ def test_what_cannot_be_read_ahead_is_made_when_it_is_needed(traced, another_run
 def test_what_nobody_waits_for_is_not_read(traced, another_run, monkeypatch):
     another_run()
     light = made(traced)
-    kept.read_ahead("a picture")
+    program_cache.read_ahead("a picture")
     for times in (1, 2, 3):
         light(MODEL, MASK, times)
-    kept.remember()
+    program_cache.remember()
     another_run()
     begun, go_on, names = threading.Event(), threading.Event(), []
-    load = kept._loaded
+    load = program_cache._loaded
 
     def slowly(file):
         names.append(file.name)
@@ -252,14 +254,14 @@ def test_what_nobody_waits_for_is_not_read(traced, another_run, monkeypatch):
             assert go_on.wait(60)
         return load(file)
 
-    monkeypatch.setattr(kept, "_loaded", slowly)
-    reading = threading.Thread(target=kept.read_ahead, args=("a picture",))
+    monkeypatch.setattr(program_cache, "_loaded", slowly)
+    reading = threading.Thread(target=program_cache.read_ahead, args=("a picture",))
     reading.start()
     assert begun.wait(60)
     # Who is in more of a hurry than the one who reads ahead reads for himself.
     light(MODEL, MASK, 2)
     # The command ends while the first is being read: it waits for that, and for no other.
-    ending = threading.Thread(target=kept.remember)
+    ending = threading.Thread(target=program_cache.remember)
     ending.start()
     ending.join(0.2)
     assert ending.is_alive()

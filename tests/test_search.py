@@ -7,7 +7,7 @@ import pytest
 
 from godfit.inference.observation import Picture
 from godfit.io.filters import blurred, blurred_at
-from godfit.runtime.parallel import in_halves
+from godfit.runtime.parallel import map_halves
 from godfit.search.screening import _solve, apart, light_grid
 
 
@@ -80,7 +80,7 @@ def test_lights_are_solved_for_in_halves():
             return _solve(rays[places], *given)
 
         whole = costs(np.arange(6))
-        even, odd = in_halves(costs, np.arange(6)), in_halves(costs, np.arange(5), 2)
+        even, odd = map_halves(costs, np.arange(6)), map_halves(costs, np.arange(5), 2)
         for halves, without, expected in zip(even, odd, whole, strict=True):
             np.testing.assert_allclose(halves, expected, rtol=1e-5, atol=1e-5)
             np.testing.assert_allclose(without, expected[:5], rtol=1e-5, atol=1e-5)

@@ -13,7 +13,7 @@ from godfit.blind.clear_rays import looks_alike
 from godfit.blind.elsewhere import cleared, crossed, glared, likened, of_each_size, solved
 from godfit.blind.explained import TEXTURE
 from godfit.blind.turns import Read, Turns
-from godfit.runtime.parallel import side_by_side
+from godfit.runtime.parallel import parallel_map
 
 # Answers that are looked around, most, each time.
 LEFT = 2, 1, 1
@@ -36,10 +36,10 @@ def best_around(
     explains more takes the light with it from where it was before, and what lies elsewhere may
     explain as much. By the turns that suit its size; see ``solved``. Other frames of its clip have
     scattering ``like`` that (4,), NaN where none tells."""
-    sizes = side_by_side(functools.partial(solved, turns), itertools.chain(*begun))
+    sizes = parallel_map(functools.partial(solved, turns), itertools.chain(*begun))
     places = sizes
     if like is not None:
-        places = [*sizes, *side_by_side(functools.partial(likened, like=like), sizes)]
+        places = [*sizes, *parallel_map(functools.partial(likened, like=like), sizes)]
     if around:
         places = _around(turns, begun, sizes, places[len(sizes) :])
         places += [_walked(place) for place in _likely(of_each_size(places), AS_LIKELY)]
@@ -65,7 +65,7 @@ def _around(
 
     each = iter(sizes)
     likely = [min((next(each) for _ in reads), key=left) for reads in begun]
-    places = [*side_by_side(afresh, likely), *others]
+    places = [*parallel_map(afresh, likely), *others]
     told = others and min(places, key=left).explained
     # Texture hides how a disc was drawn.
     if told or turns.texture >= TEXTURE:

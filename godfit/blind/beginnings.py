@@ -15,8 +15,8 @@ from godfit.inference.solver import Point, solve
 from godfit.io.filters import over_channels
 from godfit.io.image import LEVELS
 from godfit.models.disc_light import FIRST, DiscLight, terms
-from godfit.runtime.parallel import side_by_side
-from godfit.runtime.program_cache import kept
+from godfit.runtime.parallel import parallel_map
+from godfit.runtime.program_cache import cached_jit
 
 # Brightness of the veils that a start is tried under, besides its own.
 VEILS = (None, 0.05)
@@ -61,9 +61,9 @@ def rough(
     def further(point: Point) -> Point:
         return solve(point.coordinates, free, held, model, seen, COARSE)
 
-    points = side_by_side(from_start, itertools.product(begun, VEILS))
+    points = parallel_map(from_start, itertools.product(begun, VEILS))
     points.sort(key=lambda p: p.cost)
-    points = [*side_by_side(further, points[:AGAIN]), *points[AGAIN:]]
+    points = [*parallel_map(further, points[:AGAIN]), *points[AGAIN:]]
     return sorted(points, key=lambda p: p.cost)
 
 
@@ -112,7 +112,7 @@ def with_background(
     return z.astype(np.float32)
 
 
-@kept
+@cached_jit
 def _light(z, held, model: DiscLight, seen: Observation):
     at = model.moved(z, held)
     return at.light_pass(seen.mask, size=seen.size, pixels=seen.pixels)

@@ -16,7 +16,7 @@ import numpy as np
 from godfit.blind.turns import Read, Turns
 from godfit.inference.evaluate import predicted
 from godfit.models.disc_light import DENSITY, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS
-from godfit.runtime.parallel import side_by_side
+from godfit.runtime.parallel import parallel_map
 
 # How far beside an answer it is looked for at first: shares of the radius, periods of the light,
 # dips of density and powers of two of what the disc adds and of the attenuation; half as far where
@@ -126,7 +126,7 @@ def looked_around(place: Place) -> Place:
         if dips is None:
             continue
         best, sides = place.read, (-by, by)
-        there = side_by_side(functools.partial(_beside, turns, best, index, dips), sides)
+        there = parallel_map(functools.partial(_beside, turns, best, index, dips), sides)
         totals = [turns.total(read) for read in there]
         if not min(totals) < turns.total(best):
             near = by if _dips(turns, best, index, by) == 1 else by / 2

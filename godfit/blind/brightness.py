@@ -17,7 +17,7 @@ import numpy as np
 from godfit.blind.beside import holding, nearer
 from godfit.blind.turns import SOME, Read, Turns
 from godfit.models.disc_light import DENSITY, GAIN, LIGHT_X, LIGHT_Y, RADIUS
-from godfit.runtime.parallel import side_by_side
+from godfit.runtime.parallel import parallel_map
 
 # Steps, in powers of two, and how many of them to either side, most: wide ones may cross a plateau,
 # narrow ones find the bottom of a well. So many dips of density.
@@ -66,7 +66,7 @@ def _along(
             best, before = min(best, left), left
         return found[1:]
 
-    found = [each for side in side_by_side(to_one_side, sides) for each in side]
+    found = [each for side in parallel_map(to_one_side, sides) for each in side]
     best = min(found, key=turns.total)
     if not turns.total(best) < WELL * least:
         return read, found

@@ -37,7 +37,7 @@ from godfit.models.disc_light import (
     DiscLight,
     terms,
 )
-from godfit.runtime.parallel import side_by_side
+from godfit.runtime.parallel import parallel_map
 
 # Clear rays that are asked at first and later, least, and pixels among which they are looked for.
 FEW, MORE, LEAST, AMONG = 300, 1000, 150, 8192
@@ -163,7 +163,7 @@ def _seen(
 
     pairs = _sizes(float(at.shading.density), float(at.shape[0]) * h, dense, free)
     pairs = [(density, radius) for density, radius in pairs if radius < LARGEST * h]
-    found = [each for each in side_by_side(about, pairs) if each is not None]
+    found = [each for each in parallel_map(about, pairs) if each is not None]
     if not found:
         return None
     # Where hardly any disc fits, anything stands out.
@@ -174,7 +174,7 @@ def _seen(
     found = _closer(turns, z, sorted(found, key=_stands_out)[:CLOSER])
     if free[DENSITY]:
         # Light and radius show before the density is right to a part of a tap.
-        combed = side_by_side(functools.partial(_combed, turns, z), _apart(found)[:COMBED])
+        combed = parallel_map(functools.partial(_combed, turns, z), _apart(found)[:COMBED])
         found = sorted(found + _closer(turns, z, combed), key=_stands_out)
     if _stands_out(found[0]) > STANDS:
         return None
@@ -208,7 +208,7 @@ def _closer(turns: Turns, z: np.ndarray, found: list[tuple[Disc, Rays]]):
 
     for _ in range(TIMES):
         share /= 2
-        found = side_by_side(closer, found)
+        found = parallel_map(closer, found)
     return sorted(found, key=_stands_out)
 
 

@@ -7,14 +7,14 @@ import math
 
 import numpy as np
 
-from godfit.runtime.numba_jit import compiled
+from godfit.runtime.numba_jit import jit
 
 # By how much the cosine of an edge's normal to the way there may be off 0, or off 1, and how many
 # times as far off it has no say.
 ACROSS, ON, FAR = 0.05, 0.02, 6.0
 
 
-@compiled
+@jit
 def votes_for(u, v, x, y, nx, ny, along):
     """(v, u) votes of edges at ``x``, ``y`` (n,) for places to the right (u,) and above (v,): of
     those whose normals ``nx``, ``ny`` are across the way there or, not ``along``, on it."""
@@ -31,7 +31,7 @@ def votes_for(u, v, x, y, nx, ny, along):
     return votes
 
 
-@compiled
+@jit
 def passed_by(circles, x, y, near):
     """(n,) how many places ``x``, ``y`` (m,) each of ``circles`` (n, 3) passes so ``near``."""
     passed = np.zeros(len(circles), np.int64)

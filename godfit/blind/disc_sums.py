@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from godfit.runtime.numba_jit import compiled
+from godfit.runtime.numba_jit import jit
 
 
-@compiled
+@jit
 def is_clear(x, y, light, density, samples, blocked):
     """Whether (n,) none of the taps towards column and row ``light`` (2,) reads what is ``blocked``
     (h, w)."""
@@ -24,7 +24,7 @@ def is_clear(x, y, light, density, samples, blocked):
     return clear
 
 
-@compiled
+@jit
 def open_sums(x, y, open_, light, t, c):
     """(n,) the sum over taps ``t``, ``c`` (k,) towards column and row ``light`` (2,) of what is
     ``open_`` (h, w)."""
@@ -43,7 +43,7 @@ def open_sums(x, y, open_, light, t, c):
     return out
 
 
-@compiled
+@jit
 def disc_sums(x, y, clear, open_, light, t, c, radii, cut, power):
     """(n, r, power + 1) what discs of ``radii`` (r,), evenly apart, about column and row ``light``
     (2,) add under taps ``t``, ``c`` (k,), and that times powers of how far from the last one,
@@ -106,7 +106,7 @@ def disc_sums(x, y, clear, open_, light, t, c, radii, cut, power):
     return out
 
 
-@compiled
+@jit
 def best_discs(x, y, clear, open_, lights, t, c, radii, cut, goal, basis, expanded):
     """(m, 4) of the best disc about each column and row of ``lights`` (m, 2), by least squares: how
     much of the square of ``goal`` (n,) it explains, by how much its sums count, and which of

@@ -11,7 +11,7 @@ import numpy as np
 from godfit.blind.turns import SOME, Read, Turns
 from godfit.inference.scan import DOUBT
 from godfit.models.disc_light import EDGE, SOFT
-from godfit.runtime.parallel import side_by_side
+from godfit.runtime.parallel import parallel_map
 
 # Widths of the disc's edge in texels: of one that is drawn without anti-aliasing, whose rim is left
 # to the shadows, and from where a soft one's is looked for.
@@ -47,7 +47,7 @@ def softer_at_once(turns: Turns, read: Read) -> tuple[Turns, Read]:
     """As ``softened``, under the shadows that suit a hard edge: with a soft one where that explains
     clearly more at once. Of a large picture turns of shadows are dear."""
     softer = with_edge(turns, None)
-    wide = side_by_side(functools.partial(_from_width, softer, read), WIDTHS)
+    wide = parallel_map(functools.partial(_from_width, softer, read), WIDTHS)
     best = min(wide, key=softer.total)
     if not softer.total(best) < LIKELY * turns.total(read):
         return turns, read
@@ -67,14 +67,14 @@ def softened(turns: Turns, read: Read) -> tuple[Turns, Read]:
     softer = with_edge(turns, None)
     begin = _from_width(softer, read, WIDE)
     both = [(softer, begin), (turns, read)]
-    soft, hard = side_by_side(lambda each: each[0].turn(each[1], turns.noise), both)
+    soft, hard = parallel_map(lambda each: each[0].turn(each[1], turns.noise), both)
     hard = min(read, hard, key=turns.total)
     if not softer.total(soft) < turns.total(hard) - DOUBT:
         return turns, hard
     ways = [(turns, turns.solved(soft, turns.noise))]
     if soft.point.coordinates[EDGE] > SOFT / read.mask.shape[0]:
         ways.append((softer, soft))
-    again, *wide = side_by_side(lambda way: way[0].turned(way[1], SOME), ways)
+    again, *wide = parallel_map(lambda way: way[0].turned(way[1], SOME), ways)
     hard = min(hard, again, key=turns.total)
     if wide and softer.total(wide[0]) < turns.total(hard) - DOUBT:
         return softer, wide[0]

@@ -18,7 +18,7 @@ from godfit.blind.turns import SOME, Read, Turns
 from godfit.io.filters import shrink
 from godfit.models.base import FAINTEST
 from godfit.models.disc_light import DENSITY, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, VEIL
-from godfit.runtime.parallel import side_by_side
+from godfit.runtime.parallel import parallel_map
 
 # Share of how far is looked beside an answer at first: of all of it where clear rays have shown the
 # disc, of the light where glare has.
@@ -95,8 +95,8 @@ def glared(places: list[Place]) -> list[Place]:
         found = held.turned(nearer(held, place.read), SOME)
         return place_of(place.turns, found, dict.fromkeys((LIGHT_X, LIGHT_Y), NEARBY))
 
-    found = side_by_side(begun, itertools.product(places, circles))
-    return side_by_side(suited, of_each_size(found))
+    found = parallel_map(begun, itertools.product(places, circles))
+    return parallel_map(suited, of_each_size(found))
 
 
 def crossed(places: list[Place]) -> list[Place]:
@@ -109,7 +109,7 @@ def crossed(places: list[Place]) -> list[Place]:
         z[list(DISC)] = other[list(DISC)]
         return _suited(pair[0].turns, pair[0].read, z)
 
-    return side_by_side(begun, itertools.permutations(of_each_size(places), 2))
+    return parallel_map(begun, itertools.permutations(of_each_size(places), 2))
 
 
 def of_each_size(places: list[Place]) -> list[Place]:

@@ -22,7 +22,7 @@ from godfit.io.filters import over_channels
 from godfit.io.image import LEVELS
 from godfit.models.disc_light import EDGE, TERMS, DiscLight
 from godfit.models.mitchell import Mitchell
-from godfit.runtime.parallel import side_by_side
+from godfit.runtime.parallel import parallel_map
 
 # Longest sides of the copy that is searched on and of the finer one that the search ends on, pixels
 # for first and for later looks.
@@ -115,12 +115,12 @@ def look(
             read = turns.descended(read, sigma)
         return read
 
-    trials = _likely(side_by_side(unshadowed, begun_with), HOPELESS)
-    trials = side_by_side(lambda read: _with_shadows(turns, read, WITH), trials)
+    trials = _likely(parallel_map(unshadowed, begun_with), HOPELESS)
+    trials = parallel_map(lambda read: _with_shadows(turns, read, WITH), trials)
     trials = _likely(trials, WORSE)[:FOLLOWED]
     say(f"{len(trials)} of them further")
     begun_again = [Read.of(t.point, t.thought, seen) for t in trials]
-    ended = side_by_side(lambda read: _with_shadows(turns, read, SIGMAS), begun_again)
+    ended = parallel_map(lambda read: _with_shadows(turns, read, SIGMAS), begun_again)
     copy, coarse = small, [read.mask for read in ended]
     if small.size != picture.size:
         say("a finer copy")
@@ -134,7 +134,7 @@ def look(
             read, mask = begin
             return _with_shadows(turns, Read.of(read.point, mask, seen), sigmas)
 
-        ended = side_by_side(finely, zip(ended, coarse, strict=True))
+        ended = parallel_map(finely, zip(ended, coarse, strict=True))
     both = sorted(zip(ended, coarse, strict=True), key=lambda each: each[0].point.cost)
     best = both[0][0]
     shaded = copy.with_mask(best.mask)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 
-from godfit.runtime.numba_jit import compiled
+from godfit.runtime.numba_jit import jit
 
 # Sweeps over all shares, most, until the longest step of a sweep is this short or what moves gains
 # less than this share of what it costs that one flips.
@@ -165,7 +165,7 @@ def _solved(short: np.ndarray, gram: np.ndarray, which: np.ndarray, goal: np.nda
     raise np.linalg.LinAlgError("shares: expected a positive definite matrix")
 
 
-@compiled
+@jit
 def _sizes(columns, pull):
     """(m,) what the square of every share is times."""
     data, rows, starts, weight, shared, taken = columns
@@ -178,7 +178,7 @@ def _sizes(columns, pull):
     return size
 
 
-@compiled
+@jit
 def _gram(data, columns, starts, weight, count):
     """(count, count) products of every two columns of a matrix in sparse rows, sorted by column: of
     each row those it holds, few."""
@@ -194,7 +194,7 @@ def _gram(data, columns, starts, weight, count):
     return out
 
 
-@compiled
+@jit
 def _lower(matrix, which):
     """(k, k) rows and columns ``which`` (k,) of a symmetric matrix, up to its diagonal."""
     out = np.empty((len(which), len(which)), matrix.dtype)
@@ -204,7 +204,7 @@ def _lower(matrix, which):
     return out
 
 
-@compiled
+@jit
 def _swept(some, columns, prices, size, off, step, share):
     """One after the other of ``some``, each as well as it can be, ``share`` (m,) in place, and with
     it the ``step`` (q,) of what moves along and ``off`` (n,), what is left of the goal, weighted;

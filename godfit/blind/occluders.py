@@ -26,7 +26,7 @@ from godfit.inference.evaluate import taps_of
 from godfit.inference.observation import Picture
 from godfit.io.image import LEVELS
 from godfit.models.disc_light import DARK, DiscLight, terms
-from godfit.runtime.program_cache import kept
+from godfit.runtime.program_cache import cached_jit
 from godfit.scattering.mask_jacobian import texel_sums
 
 ROUNDS = 3
@@ -217,7 +217,7 @@ def lit_by(model: DiscLight, size: tuple[int, int]) -> np.ndarray:
     return np.asarray(_disc_of(model, size)[1])
 
 
-@kept
+@cached_jit
 def _disc_of(model: DiscLight, size: tuple[int, int]):
     return model.rim(size), model.occlusion(jnp.ones(size, jnp.float32)).astype(jnp.float32)
 

@@ -37,8 +37,8 @@ from godfit.models.disc_light import DENSITY, GAIN, LIGHT_X, LIGHT_Y, TERMS, ter
 from godfit.models.mitchell import Mitchell
 from godfit.runtime.blas import one_thread
 from godfit.runtime.device import on_device
-from godfit.runtime.parallel import side_by_side
-from godfit.runtime.program_cache import kept
+from godfit.runtime.parallel import parallel_map
+from godfit.runtime.program_cache import cached_jit
 
 # Degrees of the background that is searched with, and in the end.
 DEGREE, FINER = 2, 3
@@ -197,8 +197,8 @@ def _climbed(
     def further(point: Point) -> Point:
         return climb(point.coordinates, SIGMAS[1:])
 
-    points = sorted(side_by_side(first, begun), key=lambda p: p.cost)
-    return sorted(side_by_side(further, points[:FOLLOWED]), key=lambda p: p.cost)
+    points = sorted(parallel_map(first, begun), key=lambda p: p.cost)
+    return sorted(parallel_map(further, points[:FOLLOWED]), key=lambda p: p.cost)
 
 
 def _in_turn(
@@ -262,10 +262,10 @@ def _densest(
     def solved(start: np.ndarray) -> Point:
         return solve(start, free, held, model, seen, sigma)
 
-    best = min(side_by_side(solved, [z, *begun]), key=lambda p: p.cost)
+    best = min(parallel_map(solved, [z, *begun]), key=lambda p: p.cost)
     near = np.tile(best.coordinates, (len(BESIDE), 1))
     near[:, DENSITY] = (near[:, DENSITY] * (1 + np.array(BESIDE) / model.samples)).clip(max=1)
-    return min(best, *side_by_side(solved, list(near)), key=lambda p: p.cost).coordinates
+    return min(best, *parallel_map(solved, list(near)), key=lambda p: p.cost).coordinates
 
 
 def _unlit(model: BrightPass, levels: np.ndarray, light: np.ndarray) -> np.ndarray:
@@ -277,6 +277,6 @@ def _unlit(model: BrightPass, levels: np.ndarray, light: np.ndarray) -> np.ndarr
     return back / np.float32(model.convention.background_gain)
 
 
-@kept
+@cached_jit
 def _light_pass(z, held, model: BrightPass, mask, size: tuple[int, int]):
     return model.moved(z, held).light_pass(mask, size=size)

@@ -24,8 +24,8 @@ from godfit.io.filters import shrink
 from godfit.io.image import LEVELS
 from godfit.models.disc_light import powers
 from godfit.runtime.device import on_device
-from godfit.runtime.parallel import in_halves, side_by_side
-from godfit.runtime.program_cache import kept
+from godfit.runtime.parallel import map_halves, parallel_map
+from godfit.runtime.program_cache import cached_jit
 from godfit.scattering.radial.nearest import DENSITIES, STEPS, read_rays
 
 SIZE, FINE = 64, 128
@@ -71,7 +71,7 @@ def _voted(picture: Picture, seed: int, keep: int = 12) -> np.ndarray:
     aspect = w / h
     u, v = (np.linspace(-MARGIN * s, (1 + MARGIN) * s, int(80 * max(s, 1))) for s in (aspect, 1.0))
     found = []
-    both = side_by_side(lambda along: votes_for(u, v, x, y, nx, ny, along), (True, False))
+    both = parallel_map(lambda along: votes_for(u, v, x, y, nx, ny, along), (True, False))
     for votes in both:
         votes = ndimage.gaussian_filter(votes, 1.0)
         peaks = np.argwhere(votes == ndimage.maximum_filter(votes, 9))
@@ -95,7 +95,7 @@ def _bright(picture: Picture, keep: int = 6) -> np.ndarray:
     return np.array(found[:keep]).reshape(-1, 2)
 
 
-@kept
+@cached_jit
 def _search(rays, away, radii, along, basis, goal):
     """Cost and the coefficients of veil and disc, for every light, radius and shape.
 
@@ -168,7 +168,7 @@ def starts(
     def read(some: np.ndarray) -> tuple[Array]:
         return (read_rays(*(on_device(z, np.float32) for z in (fine, lights[some], at))),)
 
-    (rays,) = in_halves(read, each, SHARE)
+    (rays,) = map_halves(read, each, SHARE)
     for _ in range(2):
         # Once more without what the best explains worst: objects that nothing gave away.
         q = np.linalg.qr(basis * weight[:, None])[0]
@@ -179,7 +179,7 @@ def starts(
             numbers = rays[some], away[some], *others
             return _search(*(on_device(z, np.float32) for z in numbers))
 
-        cost, a, b = in_halves(search, each, SHARE)
+        cost, a, b = map_halves(search, each, SHARE)
         if weight.min() == 0:
             break
         i, r, j = np.unravel_index(cost.argmin(), cost.shape)

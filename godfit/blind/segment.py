@@ -18,7 +18,7 @@ from scipy import ndimage
 from godfit.io.filters import over_channels
 from godfit.io.image import LEVELS
 from godfit.models.disc_light import POWERS, TERMS, powers
-from godfit.runtime.parallel import side_by_side
+from godfit.runtime.parallel import parallel_map
 
 # A difference of channels this many levels off, or this many times its own spread, is another
 # colour.
@@ -122,7 +122,7 @@ def light_colour(levels: np.ndarray, half: float, valid: np.ndarray) -> np.ndarr
         better = near > _share(np.abs(one - other - plain.whole) < NEAR, known) + MORE
         return found.slope if better else 1.0
 
-    red, blue = side_by_side(against_green, (0, 2))
+    red, blue = parallel_map(against_green, (0, 2))
     if red is None or blue is None:
         return white
     colour = np.array([red, 1.0, blue])
@@ -161,7 +161,7 @@ def segments(
         wrong = np.where(more, off > limit, np.where(less, off < -limit, wrong))
         return wrong & ~neither, spread, float(expected.std())
 
-    for found in side_by_side(of_another_colour, [i for i in range(channels) if i != b]):
+    for found in parallel_map(of_another_colour, [i for i in range(channels) if i != b]):
         if found is not None:
             wrong, spread, varies = found
             other, noise, variation = other | wrong, max(noise, spread), max(variation, varies)

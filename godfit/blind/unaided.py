@@ -34,7 +34,7 @@ from godfit.io.sources import shrink_mask
 from godfit.models.disc_light import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL
 from godfit.models.mitchell import Mitchell
 from godfit.runtime.blas import one_thread
-from godfit.runtime.parallel import side_by_side
+from godfit.runtime.parallel import parallel_map
 
 # Exposure of a shader without a default, where nothing tells it from the weight.
 FAINT = 0.1
@@ -174,7 +174,7 @@ def found_in(
     if hidden(model, settled.coordinates, held, picture):
         remarks.append(HIDDEN)
     others = rivals(picture.mask, first, np.asarray(reading.picture.mask), pass_scale or 1.0)
-    shifts = side_by_side(
+    shifts = parallel_map(
         lambda other: shift(settled, tangent, model, seen, free, held, other), others
     )
     shifts += [np.where(free, doubt, 0.0) for doubt in doubts]

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import click
 
@@ -144,6 +144,7 @@ def command_line() -> str:
     return shlex.join(["godfit", *sys.argv[1:]])
 
 
+@runtime_checkable
 class Result(Protocol):
     """What every study returns: a table, a record, and files."""
 

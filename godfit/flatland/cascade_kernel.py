@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 
 from godfit.flatland.walk_kernel import FILLED, LANES, SPENT, blend, walk
-from godfit.runtime.numba_jit import fast
+from godfit.runtime.numba_jit import fast_jit
 from godfit.runtime.xla_ffi import asks_version, matrix, result, vector
 
 
-@fast
+@fast_jit
 def _reach(flat, size, x, y, t, limit, ways, steps, little, place, edge, value):
     """As ``_leap``, every lane from its own place and no farther than ``limit``."""
     real = x.dtype.type
@@ -44,7 +44,7 @@ def _reach(flat, size, x, y, t, limit, ways, steps, little, place, edge, value):
             break
 
 
-@fast
+@fast_jit
 def _cascade(free, cells, directions, upper, numbers, whole, out):
     """One cascade with the one above it merged, (rows, columns, 4 rays): radiance and what passes
     of every ray of the probes of some rows; see ``godfit.flatland.cascades``.
@@ -156,7 +156,7 @@ def _cascade(free, cells, directions, upper, numbers, whole, out):
                             to[c] += passing * far_light[first + 4 * n + c]
 
 
-@fast
+@fast_jit
 def _merge(frame, real):
     if not asks_version(frame):
         _cascade(

@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 
 from godfit.flatland.walk_kernel import LEFT, first_step, walk
-from godfit.runtime.numba_jit import fast
+from godfit.runtime.numba_jit import fast_jit
 from godfit.runtime.xla_ffi import asks_version, matrix, result, vector
 
 
-@fast
+@fast_jit
 def _moved(free, cells, directions, sky, turn, numbers, whole, d_cells, d_sky, out):
     """``_picture``'s derivative along d_cells and d_sky."""
     real = free.dtype.type
@@ -49,7 +49,7 @@ def _moved(free, cells, directions, sky, turn, numbers, whole, d_cells, d_sky, o
                         to[c] += d_passing * sky[k, c] + passing * d_sky[k, c]
 
 
-@fast
+@fast_jit
 def _pulled(free, cells, directions, sky, turn, numbers, whole, pull, out):
     """``_moved``'s transpose: ``pull`` (h, 3 w), out (1, cells + rays kinds, 4)."""
     real = free.dtype.type
@@ -95,7 +95,7 @@ def _pulled(free, cells, directions, sky, turn, numbers, whole, pull, out):
                     to[cell, 3] -= passings[n] * lost
 
 
-@fast
+@fast_jit
 def _tangent(frame, real):
     if not asks_version(frame):
         _moved(
@@ -107,7 +107,7 @@ def _tangent(frame, real):
     return 0
 
 
-@fast
+@fast_jit
 def _transpose(frame, real):
     if not asks_version(frame):
         _pulled(

@@ -70,7 +70,7 @@ class Flatland(AbstractModel):
     """
 
     name: ClassVar[str] = "flatland"
-    kept: ClassVar[str] = "sky_g"
+    held_last: ClassVar[str] = "sky_g"
     product: ClassVar[tuple[str, str]] = ("exposure", "sky_g")
     banded: ClassVar[bool] = False
     channels: ClassVar[int] = 3

@@ -20,11 +20,11 @@ from godfit.flatland.walk_kernel import (
     inverse,
     walk,
 )
-from godfit.runtime.numba_jit import fast
+from godfit.runtime.numba_jit import fast_jit
 from godfit.runtime.xla_ffi import asks_version, matrix, result, vector
 
 
-@fast
+@fast_jit
 def _leap(flat, size, x, y, t, ways, steps, used, little, place, edge, value):
     """Takes the rays of all lanes on through empty cells, from border to border or farther, until
     each has come to a cell that is not empty or has used up its steps.
@@ -64,7 +64,7 @@ def _leap(flat, size, x, y, t, ways, steps, used, little, place, edge, value):
             break
 
 
-@fast
+@fast_jit
 def _pace(flat, size, x, y, t, ways, step_limit, used, step):
     """As ``_leap``, by equal steps."""
     real = x.dtype.type
@@ -88,7 +88,7 @@ def _pace(flat, size, x, y, t, ways, step_limit, used, step):
             break
 
 
-@fast
+@fast_jit
 def _picture(free, cells, directions, sky, turn, numbers, whole, out):
     """Rows of the mean over a pixel's rays, (rows, w, 3); or, (rows, w, 3 + rays), of that mean
     without a sky and what every ray lets through, divided by the number of rays."""
@@ -190,7 +190,7 @@ def _picture(free, cells, directions, sky, turn, numbers, whole, out):
                     out[i, left + p, c] = total[p, c] * share
 
 
-@fast
+@fast_jit
 def _render(frame, real):
     if not asks_version(frame):
         _picture(

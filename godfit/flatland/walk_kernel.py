@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from godfit.runtime.numba_jit import fast
+from godfit.runtime.numba_jit import fast_jit
 
 FILLED, OUTSIDE = -1.0, -2.0
 # Pixels of a row whose rays go side by side, in vector registers.
@@ -18,13 +18,13 @@ LANES = 32
 SPENT, LEFT, ARRIVED = 0, 1, 2
 
 
-@fast
+@fast_jit
 def inverse(component, real):
     """1 / component, large but finite for a ray along an axis."""
     return real(1) / component if abs(component) > 1e-9 else real(1e9)
 
 
-@fast
+@fast_jit
 def first_step(free, x, y, dx, dy, step, little):
     """Where a ray has left its own cell, whatever that holds, and the steps that ended inside."""
     real = free.dtype.type
@@ -44,7 +44,7 @@ def first_step(free, x, y, dx, dy, step, little):
     return max(max(free[row, column], real(0)), edge + little), used
 
 
-@fast
+@fast_jit
 def walk(free, cells, x, y, dx, dy, t, last, limit, step, little, steps, opaque, hits):
     """Filled cells that a ray from (x, y) crosses from ``t`` to ``limit`` on, in ``hits``, until
     ``opaque`` of them let nothing through: their number and how the walk ended. ``last`` is a cell
@@ -80,7 +80,7 @@ def walk(free, cells, x, y, dx, dy, t, last, limit, step, little, steps, opaque,
     return found, SPENT
 
 
-@fast
+@fast_jit
 def blend(cells, hits, found, ended, sky, light):
     """What the walk sees, in ``light`` (4,): radiance and what passes."""
     passing = light.dtype.type(1)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from godfit.models.base import AbstractModel, Vector
-from godfit.runtime.program_cache import kept
+from godfit.runtime.program_cache import cached_jit
 
 if TYPE_CHECKING:
     pass
@@ -78,7 +78,7 @@ def held_at(held: np.ndarray, opened: list[int], values: np.ndarray) -> np.ndarr
     return np.where(np.isin(np.arange(len(held)), opened), values, held).astype(np.float32)
 
 
-@kept
+@cached_jit
 def _parameters(model: AbstractModel, coordinates: Vector, held: Vector):
     """The model at ``coordinates``, its parameters (p,), their derivatives (p, p) by coordinate."""
 

@@ -5,34 +5,34 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from godfit.runtime.program_cache import kept
+from godfit.runtime.program_cache import cached_jit
 
 
-@kept
+@cached_jit
 def model_at(z, held, model):
     """The model there."""
     return model.moved(z, held)
 
 
-@kept
+@cached_jit
 def coordinates_at(z, held, model):
     """(p,) its coordinates, which are not ``z`` where something is held."""
     return model.moved(z, held).coordinates()
 
 
-@kept
+@cached_jit
 def predicted(z, held, model, seen):
     """(n c,) levels at the pixels seen, every pixel's channels together."""
     return seen.predict(model.moved(z, held))
 
 
-@kept
+@cached_jit
 def occlusion_of(model, mask):
     """(h, w) or (h, w, c) what the light pass of ``model`` reads."""
     return model.occlusion(mask)
 
 
-@kept
+@cached_jit
 def taps_of(model):
     """Places (k + 1,) and weights (k + 1,) of the one pass of ``model``, the pixel's own first."""
     (taps,) = model.taps

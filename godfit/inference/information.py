@@ -10,8 +10,8 @@ import numpy as np
 from godfit.inference.likelihood import interval
 from godfit.inference.observation import Observation
 from godfit.inference.settle import Settled, Tangent
-from godfit.runtime.parallel import side_by_side
-from godfit.runtime.program_cache import kept
+from godfit.runtime.parallel import parallel_map
+from godfit.runtime.program_cache import cached_jit
 
 # Beyond these, noise is no explanation of what is left.
 MAX_TAILS = 3.5
@@ -86,7 +86,7 @@ class Evidence(NamedTuple):
         return covariance
 
 
-@kept
+@cached_jit
 def _evidence(prediction, jacobian, lo, hi, sigma, blunt_sigma, foreign):
     def pixels(sigma):
         return interval((lo - prediction) / sigma, (hi - prediction) / sigma, foreign)
@@ -112,7 +112,7 @@ def evidence(settled: Settled, tangent: Tangent, seen: Observation) -> Evidence:
         found = _evidence(*values, np.float32(sigma), np.float32(blunt_sigma), seen.foreign)
         return [np.asarray(z) for z in found]
 
-    parts = side_by_side(of, [slice(b, b + BLOCK) for b in range(0, len(lo), BLOCK)])
+    parts = parallel_map(of, [slice(b, b + BLOCK) for b in range(0, len(lo), BLOCK)])
     curvature, scores, blunt, gradient = (
         np.sum([part[i] for part in parts], 0, np.float64) for i in range(4)
     )

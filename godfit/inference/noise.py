@@ -10,7 +10,7 @@ import numpy as np
 
 from godfit.inference.likelihood import log_likelihood
 from godfit.inference.observation import Observation
-from godfit.runtime.program_cache import kept
+from godfit.runtime.program_cache import cached_jit
 
 # Noise below this many levels means that even the rounding of every pixel is explained.
 EXPLAINED = 0.05
@@ -28,7 +28,7 @@ def _total(prediction, lo, hi, sigma, foreign):
     return log_likelihood(prediction, lo, hi, sigma, foreign).sum()
 
 
-@kept
+@cached_jit
 def _likeliest(prediction, lo, hi, middle, first, last, part_of: int, foreign: float):
     """Sigma, the log-likelihood of all values there, and whether the first grid had it inside."""
     values = prediction, lo, hi
@@ -85,7 +85,7 @@ def best_sigma(
     return sigma, likelihood if math.isfinite(likelihood) else -math.inf
 
 
-_total_at = kept(_total)
+_total_at = cached_jit(_total)
 
 
 def log_likelihood_at(prediction: np.ndarray, seen: Observation, sigma: float) -> float:

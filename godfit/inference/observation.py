@@ -16,7 +16,7 @@ from godfit.io.filters import blurred, blurred_at, over_channels, shrink
 from godfit.io.image import LEVELS, Image, encode
 from godfit.models.base import AbstractModel
 from godfit.runtime.device import on_device
-from godfit.runtime.program_cache import kept
+from godfit.runtime.program_cache import cached_jit
 from godfit.scattering.upsample import Texels
 
 # Larger pictures are searched at this size: coordinates do not depend on it.
@@ -318,7 +318,7 @@ def render(
     return np.clip(np.asarray(_image(model, on_device(mask), back, size)), 0, 1)
 
 
-@kept
+@cached_jit
 def _image(model, mask, background, size):
     return model(mask, background, size=size)
 

@@ -15,13 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from godfit.inference.observation import Picture
-from godfit.inference.sample_count import left
+from godfit.inference.sample_count_kernel import left
 from godfit.io.filters import grey
 from godfit.io.image import LEVELS
 from godfit.models.mitchell import Mitchell, resampled
-from godfit.runtime.numba_jit import compiled
-from godfit.runtime.parallel import cores, side_by_side
-from godfit.scattering.radial.strips_kernel import CELL, scattered
+from godfit.runtime.parallel import cores, parallel_map
 
 FEW, MORE, KEEP = 128, 4096, 12
 LEAST, MOST = 8, 320
@@ -75,7 +73,7 @@ class _Scan:
             numbers[:, 2], numbers[:, 3] = np.exp(-self.kappa * steps), steps
             return left(self.mask, self.at, numbers, counts, self.shows_own, self.target)
 
-        return np.concatenate(side_by_side(of, parts))
+        return np.concatenate(parallel_map(of, parts))
 
 
 def other_samples(model: Mitchell, picture: Picture, seed: int = 0) -> Mitchell | None:
@@ -112,35 +110,3 @@ def _about(model: Mitchell, samples: int) -> list[Spacing]:
     step = end / (samples - drop + 0.5)
     steps = np.minimum(step * (1 + OFFSETS / samples), 1 / samples)
     return [Spacing(samples, float(s)) for s in np.unique(steps)]
-
-
-@compiled
-def left(mask, at, numbers, counts, shows_own, target):
-    """(n,) what is left of ``target`` (points,) by sums of ``counts`` taps, each with its
-    ``numbers`` (n, 5), when they and the mask itself at ``at`` (2, points) take the share that
-    leaves the least."""
-    points = at.shape[1]
-    # Points that are far apart ask for no flat cells.
-    flat = np.full((mask.shape[0] // CELL + 1, mask.shape[1] // CELL + 1), np.nan, mask.dtype)
-    rays, own = np.empty((1, 1, points), np.float32), np.zeros((1, 1, points), np.float32)
-    if shows_own:
-        # The sum with one tap at no distance.
-        nearby = numbers[0].copy()
-        nearby[2], nearby[3] = 1.0, 0.0
-        scattered(mask, flat, at, nearby, 1, own)
-    squares = np.empty(len(counts))
-    for i in range(len(counts)):
-        scattered(mask, flat, at, numbers[i], counts[i], rays)
-        aa = ab = bb = ay = by = 0.0
-        for p in range(points):
-            a, b, y = float(own[0, 0, p]), float(rays[0, 0, p]), target[p]
-            aa, ab, bb, ay, by = aa + a * a, ab + a * b, bb + b * b, ay + a * y, by + b * y
-        little = 1e-12 * (aa + bb) + 1e-300
-        aa, bb = aa + little, bb + little
-        determinant = aa * bb - ab * ab
-        of_own, of_rays = (bb * ay - ab * by) / determinant, (aa * by - ab * ay) / determinant
-        squares[i] = 0.0
-        for p in range(points):
-            shown = of_own * float(own[0, 0, p]) + of_rays * float(rays[0, 0, p])
-            squares[i] += (target[p] - shown) ** 2
-    return squares

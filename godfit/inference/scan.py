@@ -8,13 +8,13 @@ from jaxtyping import Array, Float
 
 from godfit.inference.observation import Observation
 from godfit.models.base import AbstractModel, Vector
-from godfit.runtime.program_cache import kept
+from godfit.runtime.program_cache import cached_jit
 
 # Log-likelihood on some of the pixels by which a point that is ahead on all may be behind.
 DOUBT = 8.0
 
 
-@kept
+@cached_jit
 def predictions(
     points: Float[Array, "n p"], held: Vector, model: AbstractModel, seen: Observation
 ) -> Float[Array, "n m"]:

@@ -13,7 +13,7 @@ from godfit.inference.problem import PIXELS
 from godfit.inference.solver import linearise, solve_tangent
 from godfit.models.base import AbstractModel
 from godfit.runtime.blas import one_thread
-from godfit.runtime.program_cache import kept
+from godfit.runtime.program_cache import cached_jit
 
 # Of a picture that is only rounded, values nearest to the walls of their intervals that have a say,
 # least.
@@ -70,7 +70,7 @@ def tangent_at(z: np.ndarray, held: np.ndarray, model: AbstractModel, seen: Obse
     return Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
 
 
-@kept
+@cached_jit
 def _along(prediction, jacobian, step):
     # By XLA: BLAS in numpy keeps a core busy, waiting, long after the product is done.
     return prediction + step @ jacobian

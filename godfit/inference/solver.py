@@ -17,7 +17,7 @@ from godfit.inference.observation import Observation
 from godfit.models.base import AbstractModel, Values, Vector
 from godfit.runtime.blas import one_thread
 from godfit.runtime.device import on_device
-from godfit.runtime.program_cache import kept
+from godfit.runtime.program_cache import cached_jit
 
 Switches = Bool[Array, " p"] | Bool[np.ndarray, " p"]
 
@@ -39,7 +39,7 @@ class Point(NamedTuple):
     steps: int
 
 
-@kept
+@cached_jit
 def _least_squares(
     start: Vector,
     free: Switches,
@@ -66,7 +66,7 @@ def _least_squares(
     return coordinates, cost, settled, solution.stats["num_steps"]
 
 
-@kept
+@cached_jit
 def linearise(
     coordinates: Vector,
     held: Vector,
@@ -85,7 +85,7 @@ def linearise(
     return jax.vmap(move, out_axes=(None, 0))((jnp.eye(y.shape[0], dtype=y.dtype),))
 
 
-@kept
+@cached_jit
 def _on_tangent(
     step: Vector,
     prediction: Values,
@@ -107,7 +107,7 @@ def _on_tangent(
     return jnp.concatenate([jnp.full_like(slope, pixel.log.sum())[None], slope[None], curvature])
 
 
-@kept
+@cached_jit
 def _gram(jacobian):
     return jacobian @ jacobian.T
 
@@ -215,7 +215,7 @@ def solve_tangent(
     return Point(z.astype(np.float32), -float(likelihood), settled, steps)
 
 
-@kept
+@cached_jit
 def _slope(prediction, jacobian, lo, hi, sigma, foreign):
     pixel = interval((lo - prediction) / sigma, (hi - prediction) / sigma, foreign)
     return -jacobian @ (pixel.slope / sigma)

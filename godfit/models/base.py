@@ -28,7 +28,7 @@ class AbstractModel(eqx.Module):
 
     name: eqx.AbstractClassVar[str]
     # Coordinates are held where a picture leaves them open: this one last.
-    kept: eqx.AbstractClassVar[str]
+    held_last: eqx.AbstractClassVar[str]
     # (open, other): where the first is open and the other is not, only their product is known.
     product: eqx.AbstractClassVar[tuple[str, str]]
     # Whether the cost has a dip for every band that taps leave, see ``dips.py``.

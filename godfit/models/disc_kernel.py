@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from godfit.runtime.numba_jit import fast, inlined
+from godfit.runtime.numba_jit import fast_jit, inlined_jit
 from godfit.runtime.xla_ffi import asks_version, declare, made_known, matrix, result, vector
 from godfit.scattering.radial.derivatives import Numbers
 
@@ -77,7 +77,7 @@ def disc_pass(
     return Lit(out[0], out[1 : 5 if slopes else 2], out[5:10], out[10:])
 
 
-@fast
+@fast_jit
 def _of_the_open(open_, at, numbers, taps, begin, inside, slopes, total):
     """The sums at GROUP points from ``begin`` on, in ``total`` (5, GROUP), of what is open: as it
     is from tap ``inside`` (GROUP,) on, under the veil before; and, last, the first of them under no
@@ -139,7 +139,7 @@ def _of_the_open(open_, at, numbers, taps, begin, inside, slopes, total):
             total[3, p] += (c if k >= inside[p] else under) * moves_y[p] * fall[p]
 
 
-@fast
+@fast_jit
 def _first_and_last(x, y, numbers, count, low, high):
     """The taps, of 1 to ``count``, that may lie between ``low`` and ``high`` (2,), a column and a
     row each; none where the first is more than the last."""
@@ -163,7 +163,7 @@ def _first_and_last(x, y, numbers, count, low, high):
     return first, min(count, math.ceil(min(leaves / step + lag, count + 1.0)))
 
 
-@fast
+@fast_jit
 def _of_the_rim(box, shape, first, last, x, y, numbers, size, taps, sums):
     """Add to ``sums`` (EACH + 3,) what the box, ``shape`` of it (first row, first column, rows,
     columns), has at taps ``first`` to before ``last`` of a column and row: every number of it, the
@@ -208,7 +208,7 @@ def _of_the_rim(box, shape, first, last, x, y, numbers, size, taps, sums):
             )  # fmt: skip
 
 
-@fast
+@fast_jit
 def _read(texels, x, y):
     """What (h, w) ``texels`` are at a column and row, bilinearly."""
     h, w = texels.shape
@@ -219,7 +219,7 @@ def _read(texels, x, y):
     return (1 - g) * upper + g * ((1 - f) * texels[j + 1, i] + f * texels[j + 1, i + 1])
 
 
-@fast
+@fast_jit
 def _weighed(numbers, count, real):
     """Where taps are (count,), and what they count (count, 3) in S, S_r and the two slopes."""
     ratio, step, lag = float(numbers[2]), float(numbers[3]), float(numbers[4])
@@ -234,7 +234,7 @@ def _weighed(numbers, count, real):
     return place, weights
 
 
-@fast
+@fast_jit
 def lit(open_, at, numbers, count, cut, out):
     """``out`` (VALUES or SLOPES, 1, points), see ``disc_pass``; ``numbers`` are the five of the
     sums, the disc's three, and how soft its edge is in derivatives."""
@@ -308,7 +308,7 @@ def lit(open_, at, numbers, count, cut, out):
             out[14, 0, begin + p] += total[4, p]
 
 
-@inlined
+@inlined_jit
 def _points(frame, real):
     if not asks_version(frame):
         open_, at = matrix(frame, 0, real), matrix(frame, 1, real)
@@ -341,7 +341,7 @@ EACH = 8
 AROUND = 1.5
 
 
-@fast
+@fast_jit
 def _disc(x, y, least, radius, wide, cut, tail):
     """How much of a texel ``x``, ``y`` from the light the disc covers; ``least`` is added to the
     square of a distance. Lengths are in texels."""
@@ -357,7 +357,7 @@ def _disc(x, y, least, radius, wide, cut, tail):
     return total / (cut * cut)
 
 
-@fast
+@fast_jit
 def rim(numbers, height, soft, tail):
     """Distances from the light, in texels: nothing of the disc's edge, which ends ``tail`` of its
     widths away, lies nearer than the first or farther than the second; ``soft`` is how wide it is,
@@ -367,7 +367,7 @@ def rim(numbers, height, soft, tail):
     return radius - tail * wide - 1, radius + tail * wide + 1
 
 
-@fast
+@fast_jit
 def box_of(open_, numbers, cut, slopes, near, far, tail):
     """The first row and column of what the disc reaches, and what it adds there but nearer to the
     light than ``near`` (rows + 2, columns + 2, 1 or EACH), in a border as it is beyond: 0, or where

@@ -86,7 +86,7 @@ class DiscLight(AbstractModel):
     """
 
     name: ClassVar[str] = Mitchell.name
-    kept: ClassVar[str] = Mitchell.kept
+    held_last: ClassVar[str] = Mitchell.held_last
     product: ClassVar[tuple[str, str]] = Mitchell.product
     banded: ClassVar[bool] = False
     channels: ClassVar[int] = 1

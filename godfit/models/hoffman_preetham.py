@@ -79,7 +79,7 @@ class HoffmanPreetham(AbstractModel):
     """
 
     name: ClassVar[str] = "hoffman-preetham"
-    kept: ClassVar[str] = "e_sun"
+    held_last: ClassVar[str] = "e_sun"
     product: ClassVar[tuple[str, str]] = ("scale", "e_sun")
     banded: ClassVar[bool] = False
     channels: ClassVar[int] = 3

@@ -38,7 +38,7 @@ class Mitchell(AbstractModel):
     """
 
     name: ClassVar[str] = "mitchell"
-    kept: ClassVar[str] = "weight"
+    held_last: ClassVar[str] = "weight"
     product: ClassVar[tuple[str, str]] = ("exposure", "weight")
     banded: ClassVar[bool] = True
     channels: ClassVar[int] = 1

@@ -34,7 +34,7 @@ class Staged(AbstractModel):
     """
 
     name: ClassVar[str] = Mitchell.name
-    kept: ClassVar[str] = Mitchell.kept
+    held_last: ClassVar[str] = Mitchell.held_last
     product: ClassVar[tuple[str, str]] = Mitchell.product
     banded: ClassVar[bool] = True
     channels: ClassVar[int] = 1

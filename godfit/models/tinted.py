@@ -27,7 +27,7 @@ class Tinted(AbstractModel):
     coordinates are those of ``shading`` and then the tint."""
 
     name: ClassVar[str] = "mitchell-tinted"
-    kept: ClassVar[str] = "weight"
+    held_last: ClassVar[str] = "weight"
     product: ClassVar[tuple[str, str]] = ("exposure", "weight")
     banded: ClassVar[bool] = False
     channels: ClassVar[int] = 3

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from godfit.runtime.files import atomic_write
-from godfit.runtime.parallel import side_by_side
+from godfit.runtime.parallel import parallel_map
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,4 +48,4 @@ def write_result(
     def write(item: tuple[str, Callable[[Path], None]]) -> Callable[[], None]:
         return lambda: item[1](folder / item[0])
 
-    side_by_side(lambda work: work(), [draw, *map(write, (images or {}).items())])
+    parallel_map(lambda work: work(), [draw, *map(write, (images or {}).items())])

@@ -6,10 +6,10 @@ from numba import njit
 
 from godfit.runtime.cache import numba_keeps
 
-compiled = njit(cache=numba_keeps(), nogil=True, error_model="numpy")
+jit = njit(cache=numba_keeps(), nogil=True, error_model="numpy")
 # Of sums in which terms may be fused and divisions multiplied out.
-fast = njit(
+fast_jit = njit(
     cache=numba_keeps(), nogil=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"}
 )
 # What is compiled for its caller is optimised once more with it.
-inlined = njit(inline="always")
+inlined_jit = njit(inline="always")

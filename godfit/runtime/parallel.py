@@ -20,13 +20,13 @@ def cores() -> int:
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
-def side_by_side(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+def parallel_map(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
     """``work`` of every item, in their order. In single precision, as the program is: JAX's
     settings are a thread's own."""
-    return list(ahead(work, items))
+    return list(parallel_imap(work, items))
 
 
-def in_halves(
+def map_halves(
     work: Callable[[np.ndarray], Iterable], items: np.ndarray, share: int = 1
 ) -> tuple[np.ndarray, ...]:
     """What ``work`` makes of ``items`` (n, ...), arrays (n, ...), from half of them on each of two
@@ -34,12 +34,12 @@ def in_halves(
     for another number a program would be compiled anew."""
     each = share * -(-len(items) // (2 * share))
     rows = np.arange(2 * each).clip(max=len(items) - 1).reshape(2, each)
-    halves = side_by_side(lambda half: [np.asarray(z) for z in work(items[half])], rows)
+    halves = parallel_map(lambda half: [np.asarray(z) for z in work(items[half])], rows)
     return tuple(np.concatenate(both)[: len(items)] for both in zip(*halves, strict=True))
 
 
-def ahead(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-    """As ``side_by_side``, but each result as soon as it is there: the others are worked on while
+def parallel_imap(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    """As ``parallel_map``, but each result as soon as it is there: the others are worked on while
     it is used."""
 
     def single(item: Item) -> Result:

@@ -105,7 +105,7 @@ def _notes(folder: Path) -> Path:
     return folder / ("needed-" + hashlib.sha256(_occasion.encode()).hexdigest()[:16])
 
 
-def kept(function: Callable[..., Any]) -> Callable[..., Any]:
+def cached_jit(function: Callable[..., Any]) -> Callable[..., Any]:
     """``jax.jit`` of a function of arrays, modules of them, and settings, which are all else; its
     results are arrays, in tuples and modules or not. Once ``keep_programs`` was called the program
     is kept."""

@@ -24,7 +24,7 @@ from numba import (
 from numba.extending import intrinsic
 
 from godfit.runtime.cache import numba_keeps
-from godfit.runtime.numba_jit import inlined
+from godfit.runtime.numba_jit import inlined_jit
 
 _WORDS = types.CPointer(types.int64)
 _METADATA = 1
@@ -44,7 +44,7 @@ _pointer: Any = intrinsic(
 _words: Any = intrinsic(lambda _, address: (_WORDS(address), _cast))
 
 
-@inlined
+@inlined_jit
 def asks_version(frame):
     """Whether this is no call but a question for the version of the interface. The answer is the
     caller's own: nothing is used here that a version changes."""
@@ -57,7 +57,7 @@ def asks_version(frame):
     return True
 
 
-@inlined
+@inlined_jit
 def vector(frame, index, kind):
     """Argument ``index``, of rank 1, numbers of ``kind``."""
     buffer = _words(_words(frame[_ARGUMENTS])[index])
@@ -65,7 +65,7 @@ def vector(frame, index, kind):
     return carray(_pointer(buffer[_DATA], kind), (size[0],))
 
 
-@inlined
+@inlined_jit
 def matrix(frame, index, kind):
     """Argument ``index``, of rank 2."""
     buffer = _words(_words(frame[_ARGUMENTS])[index])
@@ -73,7 +73,7 @@ def matrix(frame, index, kind):
     return carray(_pointer(buffer[_DATA], kind), (size[0], size[1]))
 
 
-@inlined
+@inlined_jit
 def result(frame, kind):
     """The first result, of rank 3."""
     buffer = _words(_words(frame[_RESULTS])[0])

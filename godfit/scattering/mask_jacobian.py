@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from godfit.runtime.numba_jit import compiled
+from godfit.runtime.numba_jit import jit
 
 
-@compiled
+@jit
 def texel_sums(texels, h, w, light, t, c, lit, values, place, count):
     """Sums at row-major ``texels`` (n,) of a pass of ``h`` by ``w``: what taps ``t``, ``c`` (k,)
     towards column and row ``light`` (2,) read of a mask ``lit`` (h w,) times ``values`` (h w,)
@@ -50,7 +50,7 @@ def texel_sums(texels, h, w, light, t, c, lit, values, place, count):
     return known, starts, read[:end].copy(), share[:end].copy()
 
 
-@compiled
+@jit
 def _moved(values, room):
     """``values`` (n,) where there is room for so many."""
     out = np.empty(room, values.dtype)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from godfit.runtime.numba_jit import compiled
+from godfit.runtime.numba_jit import jit
 from godfit.scenes.intersections import FIELDS, Crossed, find_lines, pieces
 from godfit.scenes.projection import Edges, Lens, Triangles
 from godfit.scenes.visibility import seen_at, share_rows
@@ -44,7 +44,7 @@ class Contours(NamedTuple):
     crossed: Crossed
 
 
-@compiled
+@jit
 def _span(x0, y0, x1, y1, row):
     """Least and greatest x of a segment within [row, row + 1]; least > greatest if it is not."""
     if y0 > y1:
@@ -59,7 +59,7 @@ def _span(x0, y0, x1, y1, row):
     return min(a, b), max(a, b)
 
 
-@compiled
+@jit
 def _edges_of_pixels(ends, height, width, begin, listed):
     """Lists of the edges that cross each pixel. ``begin`` (h w + 1): counts on the first call
     (``listed`` empty), starts afterwards; the second call fills ``listed``."""
@@ -81,7 +81,7 @@ def _edges_of_pixels(ends, height, width, begin, listed):
                 begin[pixel] += 1
 
 
-@compiled
+@jit
 def _triangles_of_pixels(triangles, wanted, first, last, begin, listed):
     """The same for the triangles that touch the wanted pixels of rows first to last."""
     width = wanted.shape[1]
@@ -108,7 +108,7 @@ def _triangles_of_pixels(triangles, wanted, first, last, begin, listed):
                     begin[pixel] += 1
 
 
-@compiled
+@jit
 def _clip_to_pixel(u0, v0, u1, v1):
     """Parameters of the part of a segment inside the unit square (Liang & Barsky, ACM Trans.
     Graph. 3 (1984), 1); the first is larger if there is none."""
@@ -123,7 +123,7 @@ def _clip_to_pixel(u0, v0, u1, v1):
     return low, high
 
 
-@compiled
+@jit
 def _sweep_rows(
     triangles, edges, colour_of, labels, wanted, crossing, lens, centre, radius,
     first, last, edge_begin, edge_list, share, weight,
@@ -274,7 +274,7 @@ def _sweep_rows(
     return crossed[:lines]
 
 
-@compiled
+@jit
 def _cross(column, row, begin, end, y, triangles, candidates, lens, centre, radius, rim, colour_of):
     """A cell in which surfaces may pass through each other: its first and last colour, and the u
     at which they change, found by bisection."""

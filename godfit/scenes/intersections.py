@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from godfit.runtime.numba_jit import compiled
+from godfit.runtime.numba_jit import jit
 from godfit.scenes.visibility import BACKGROUND, LIGHT, seen_at, sphere_depth
 
 # Scan lines of a pixel each way, places on each that are looked at, bisections where the colour
@@ -36,7 +36,7 @@ class Crossed(NamedTuple):
     weight: np.ndarray
 
 
-@compiled
+@jit
 def _inverse_depth(x, y, triangles, t, lens, centre, radius):
     """1/depth under (x, y) of the plane of triangle t, or of the light's sphere where it is -1; and
     whether the triangle, or the sphere, is there at all."""
@@ -51,7 +51,7 @@ def _inverse_depth(x, y, triangles, t, lens, centre, radius):
     return q, min(w0, w1, w2) >= 0
 
 
-@compiled
+@jit
 def find_lines(
     column, row, triangles, candidates, lens, centre, radius, rim, colour_of, found, count
 ):
@@ -125,22 +125,22 @@ def pieces(found: np.ndarray, width: int) -> Crossed:
     )
 
 
-@compiled
+@jit
 def _minus(a, b):
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@compiled
+@jit
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@compiled
+@jit
 def _cross_product(a, b):
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@compiled
+@jit
 def _through_sphere(a, b, c, squared):
     """Whether a triangle has points inside and outside the sphere around the origin of that squared
     radius."""
@@ -159,7 +159,7 @@ def _through_sphere(a, b, c, squared):
     return above and height * height < squared * _dot(normal, normal)
 
 
-@compiled
+@jit
 def may_cross(camera, faces, face_label, colour_of, centre, radius):
     """Whether surfaces of different colours may pass through each other: a triangle the light's
     sphere, or two objects whose boxes overlap."""

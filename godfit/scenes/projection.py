@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from godfit.runtime.numba_jit import compiled
+from godfit.runtime.numba_jit import jit
 
 
 class Lens(NamedTuple):
@@ -44,7 +44,7 @@ class Edges(NamedTuple):
     of_light: np.ndarray
 
 
-@compiled
+@jit
 def _cut(camera, i, j, near):
     """The point of segment i-j on the near plane: the same whichever end is named first."""
     if i > j:
@@ -56,7 +56,7 @@ def _cut(camera, i, j, near):
     return x, y, near
 
 
-@compiled
+@jit
 def _at(camera, i, j, near):
     """(x, y, depth) of a point made of i and j."""
     if i == j:
@@ -64,14 +64,14 @@ def _at(camera, i, j, near):
     return _cut(camera, i, j, near)
 
 
-@compiled
+@jit
 def _project(point, lens):
     x, y, depth = point
     q = 1.0 / depth
     return lens.centre_x + lens.focal_x * x * q, lens.centre_y - lens.focal_y * y * q, q
 
 
-@compiled
+@jit
 def _polygon(camera, faces, f, near, made_of):
     """Corners of face f before the near plane, as pairs i, j; how many (0, 3 or 4); and the two
     that lie on the near plane (or -1)."""
@@ -89,7 +89,7 @@ def _polygon(camera, faces, f, near, made_of):
     return count, first_cut, last_cut
 
 
-@compiled
+@jit
 def _screen_triangles(camera, faces, face_label, lens, height, width, corners, label, face, cuts):
     """Fill ``corners``, ``label`` and ``face``, and ``cuts`` (near-plane edges, as four indices);
     returns how many of each there are. Called with empty arrays it only counts."""
@@ -154,7 +154,7 @@ def screen_triangles(
     return Triangles(*(z[:n] for z in found)), cuts[:m]
 
 
-@compiled
+@jit
 def _may_be_contour(camera, edges, e):
     """Whether both faces of the edge lie on one side of it, as seen from the camera; edges of one
     face, or of more than two, always may."""
@@ -169,7 +169,7 @@ def _may_be_contour(camera, edges, e):
     return side_c * side_d >= 0
 
 
-@compiled
+@jit
 def _screen_edges(camera, edges, outline, cuts, lens, height, width, ends, made_of):
     """Project the candidates among ``edges`` (e, 4), the polygon of the vertices from ``outline``
     on, and ``cuts``; returns how many there are. Called with empty arrays it only counts."""

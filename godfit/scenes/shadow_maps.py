@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from godfit.runtime.numba_jit import compiled
+from godfit.runtime.numba_jit import jit
 from godfit.scenes import projection, visibility
 from godfit.scenes.scene import Scene
 
@@ -78,7 +78,7 @@ def shadows(scene: Scene, source: Source, resolution: int) -> Shadows:
     return Shadows(position, axes, q, focal)
 
 
-@compiled
+@jit
 def _is_lit(x, y, z, position, axes, q, focal):
     x, y, z = x - position[0], y - position[1], z - position[2]
     n = q.shape[1]
@@ -95,7 +95,7 @@ def _is_lit(x, y, z, position, axes, q, focal):
     return True
 
 
-@compiled
+@jit
 def _lit_shares(
     origin, direction, begin, end, passed, apart, lamp, position, axes, q, focal, first, last, lit
 ):

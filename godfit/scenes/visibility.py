@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from godfit.runtime.numba_jit import compiled
-from godfit.runtime.parallel import cores, side_by_side
+from godfit.runtime.numba_jit import jit
+from godfit.runtime.parallel import cores, parallel_map
 from godfit.scenes.projection import Lens, Triangles
 
 BACKGROUND, LIGHT, FIRST_OBJECT = 0, 1, 2
 
 
-@compiled
+@jit
 def sphere_depth(x, y, lens, centre, radius, inside):
     """Depth of the light's front under (x, y), or 0 where it is not. A point known to be ``inside``
     is never beside the sphere: at worst it touches."""
@@ -38,7 +38,7 @@ def sphere_depth(x, y, lens, centre, radius, inside):
     return depth if lens.near <= depth <= lens.far else 0.0
 
 
-@compiled
+@jit
 def _lines(p):
     """Coefficients (3, 3) of the three edge functions of a triangle, each positive inside, and
     whether pixel centres on the edge belong to it (top-left rule).
@@ -61,7 +61,7 @@ def _lines(p):
     return line, owns
 
 
-@compiled
+@jit
 def _label_rows(triangles, lens, centre, radius, first, last, label, q):
     """Nearest surface at the pixel centres of rows first to last."""
     width = label.shape[1]
@@ -107,7 +107,7 @@ def _label_rows(triangles, lens, centre, radius, first, last, label, q):
                 label[row, column] = LIGHT
 
 
-@compiled
+@jit
 def seen_at(x, y, triangles, candidates, lens, centre, radius, rim):
     """Label of the nearest surface at one point of the screen, and which triangle it is (-1 where
     it is none). In the pixels that they cross, the edges ``rim`` (n, 4) of the light's outline say
@@ -152,4 +152,4 @@ def share_rows(height: int, work: Callable[[int, int], Any]) -> list[Any]:
     # More bands than cores: objects seldom fill the picture evenly.
     bands = min(height, 4 * cores() if cores() > 1 else 1)
     at = [height * i // bands for i in range(bands + 1)]
-    return side_by_side(lambda rows: work(*rows), list(itertools.pairwise(at)))
+    return parallel_map(lambda rows: work(*rows), list(itertools.pairwise(at)))

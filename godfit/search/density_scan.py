@@ -23,8 +23,8 @@ from godfit.inference.solver import Point, solve
 from godfit.models.base import AbstractModel, Vector
 from godfit.runtime.blas import one_thread
 from godfit.runtime.device import on_device
-from godfit.runtime.parallel import side_by_side
-from godfit.runtime.program_cache import kept
+from godfit.runtime.parallel import parallel_map
+from godfit.runtime.program_cache import cached_jit
 from godfit.search.multigrid import LADDER
 
 # A dip of density is about 1/samples wide.
@@ -68,12 +68,12 @@ def rivals(
         levels = predictions(on_device(points, np.float32), held, model, seen)
         return np.asarray(_costs(levels, seen, sigma))
 
-    costs = np.concatenate(side_by_side(costs_at, np.array_split(line, 2)))
+    costs = np.concatenate(parallel_map(costs_at, np.array_split(line, 2)))
     costs = np.where(np.isfinite(costs) & (np.abs(away) > dip / 2), costs, np.inf)
     dips = bottoms(costs)
     best = dips[np.argsort(costs[dips])][:RIVALS]
     begun = line[best].astype(np.float32)
-    ends = side_by_side(lambda z: solve(z, free, held, model, seen, start.sigma), begun)
+    ends = parallel_map(lambda z: solve(z, free, held, model, seen, start.sigma), begun)
     own = float(costs_at(at[None])[0])
     return [end.coordinates for end in ends if end.cost < own + DOUBT]
 
@@ -91,7 +91,7 @@ def _valley(
         return np.asarray(_floor(on_device(at), free, held, along, model, seen))
 
 
-@kept
+@cached_jit
 def _floor(
     coordinates: Vector,
     free: Vector,
@@ -160,7 +160,7 @@ def _projected(
     return line, shown
 
 
-@kept
+@cached_jit
 def _costs(
     levels: Float[Array, "n m"], seen: Observation, sigma: Float[Array, ""]
 ) -> Float[Array, " n"]:
@@ -223,9 +223,9 @@ def reseed(
         return [Point(points[i], float(costs[i]), False, 0) for i in bottoms(costs)]
 
     dip = float(here) / model.samples
-    dips = side_by_side(dips_on, [following, projected])
+    dips = parallel_map(dips_on, [following, projected])
     begun = _apart([p for line in dips for p in line], along, dip / 4)
-    points = side_by_side(
+    points = parallel_map(
         lambda p: solve(p.coordinates, free, held, model, few, sigma), begun[:tries]
     )
     if len(points) > SETTLED:
@@ -239,7 +239,7 @@ def reseed(
         # With a noise of their own, half of n values times the logarithm is what they are behind.
         far = points[0].cost * math.exp(2 * BEYOND_DOUBT / len(few.lo))
         points = [p for p in points if p.cost <= far]
-    found = side_by_side(lambda p: settle(p.coordinates, model, seen, free, held)[0], points)
+    found = parallel_map(lambda p: settle(p.coordinates, model, seen, free, held)[0], points)
     return sorted([start, *found], key=lambda s: -s.log_likelihood)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from godfit.inference.observation import Observation, Picture
 from godfit.inference.solver import Point, solve
 from godfit.models.base import AbstractModel
-from godfit.runtime.parallel import ahead
+from godfit.runtime.parallel import parallel_imap
 
 # What is blurred needs fewer.
 BLURRED_PIXELS = 256
@@ -59,7 +59,7 @@ def blurred_views(
     is used, those to come are made."""
     pixels = picture.informative(BLURRED_PIXELS, seed)
     blurs = [share * max(picture.size) for share, _, _ in ladder]
-    return ahead(lambda blur: picture.observe(pixels, blur), [*blurs, 0.0])
+    return parallel_imap(lambda blur: picture.observe(pixels, blur), [*blurs, 0.0])
 
 
 def _distinct(points: list[Point]) -> list[Point]:

@@ -22,8 +22,8 @@ from godfit.io.filters import grey, shrink
 from godfit.io.image import LEVELS, decode
 from godfit.models.mitchell import Mitchell
 from godfit.runtime.device import on_device
-from godfit.runtime.parallel import in_halves
-from godfit.runtime.program_cache import kept
+from godfit.runtime.parallel import map_halves
+from godfit.runtime.program_cache import cached_jit
 from godfit.scattering.radial.nearest import DENSITIES, STEPS, read_rays
 
 SIZE = 64
@@ -50,7 +50,7 @@ def light_grid(target: np.ndarray, seed: int) -> np.ndarray:
     return np.concatenate([lattice, rings, spots])
 
 
-@kept
+@cached_jit
 def _box_rays(
     mask: Float[Array, "h w"],
     light: Float[Array, "lights 2"],
@@ -67,7 +67,7 @@ def _box_rays(
     return lax.map(one, light)
 
 
-@kept
+@cached_jit
 def _solve(rays, shapes, own, target, weight):
     """Exposure and gain, neither negative, and the cost, for every light and shape.
 
@@ -143,7 +143,7 @@ def starts(
         rays = rays[jnp.asarray(groups)].sum(1)
         e, g, cost = (np.asarray(z) for z in _solve(rays, along, own, goal, trust))
     else:
-        e, g, cost = in_halves(lambda spots: _solve(read(spots), along, own, goal, trust), places)
+        e, g, cost = map_halves(lambda spots: _solve(read(spots), along, own, goal, trust), places)
     spots = places[groups].reshape(len(groups), -1)
     found = []
     for i, j in apart(cost, spots, shapes, keep):

@@ -29,7 +29,7 @@ from godfit.models.build import mitchell_template
 from godfit.models.disc_light import DiscLight
 from godfit.report.clip import ClipResult, Frame
 from godfit.report.verdict import spread
-from godfit.runtime.program_cache import kept
+from godfit.runtime.program_cache import cached_jit
 from godfit.scattering.parameters import SCATTERING
 from godfit.studies.pooling import Pool, pooled
 
@@ -140,7 +140,7 @@ def _answer(name: str, found: Found) -> _Answer:
     return _Answer(name, at, covariance, open_, found.objection, found.settled.sigma)
 
 
-@kept
+@cached_jit
 def _of_the_shader(model: DiscLight, coordinates: Vector, held: Vector):
     """Coordinates (6,) of scattering and light and their derivatives (6, p) by those of a picture,
     whose gain is without the veil's share."""

@@ -26,7 +26,7 @@ from godfit.models.mitchell import Mitchell
 from godfit.models.tinted import Tinted
 from godfit.report.result import FitResult
 from godfit.report.select import Rung
-from godfit.runtime.parallel import side_by_side
+from godfit.runtime.parallel import parallel_map
 from godfit.search import multigrid, screening
 
 # What DawnTime and Vesper ship, for shaders that publish no defaults.
@@ -85,7 +85,7 @@ class Ladder:
             return self._climbed(self.shader, given[step], starts)
 
         self.say("climbing")
-        ways = side_by_side(climbed, range(len(steps)))
+        ways = parallel_map(climbed, range(len(steps)))
         for (name, shows, _), held, starts in zip(steps, given, ways, strict=True):
             self.say(name)
             below = [] if len(found) == 1 else [found[-1].settled.coordinates]
@@ -195,7 +195,7 @@ class Ladder:
         points = self._apart(points, free)
         if len(points) > 1:
             # A few values tell which is the best; those that they cannot tell apart go on.
-            ends = side_by_side(
+            ends = parallel_map(
                 lambda z: settle(z, model, self.few, free, held, rounds=4)[0], points
             )
             most = max(end.log_likelihood for end in ends)

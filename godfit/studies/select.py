@@ -27,7 +27,7 @@ from godfit.io.sources import Source, read_source
 from godfit.models.mitchell import Mitchell
 from godfit.report.result import FitResult
 from godfit.report.select import CLEAR, Row, Rung, Selection
-from godfit.runtime.parallel import side_by_side
+from godfit.runtime.parallel import parallel_map
 from godfit.scattering.taps import CONVENTIONS
 from godfit.scenes.scene import Scene, read_scene
 from godfit.scenes.view import in_single_precision, light_on_screen
@@ -99,7 +99,7 @@ def _judged(rungs: list[Rung], seen: Observation, seed: int, share: float) -> tu
     lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
     known = np.isfinite(lo) & np.isfinite(hi)
     middle = (np.where(known, lo, 0) + np.where(known, hi, 0)) / 2
-    scores, sizes = zip(*side_by_side(lambda rung: _held_out(rung, seen, seed), rungs), strict=True)
+    scores, sizes = zip(*parallel_map(lambda rung: _held_out(rung, seen, seed), rungs), strict=True)
     costs = [-2 * share * rung.settled.log_likelihood for rung in rungs]
     bics = [c + penalty * r.parameters for c, r in zip(costs, rungs, strict=True)]
     best = int(np.argmin(bics))

@@ -6,14 +6,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from godfit.runtime.program_cache import kept
+from godfit.runtime.program_cache import cached_jit
 from godfit.scattering.radial.coordinates import to_pixels
 
 STEPS = 48
 DENSITIES = (0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.0)
 
 
-@kept
+@cached_jit
 def read_rays(
     mask: Float[Array, "h w"], light: Float[Array, "lights 2"], at: Float[Array, "points 2"]
 ) -> Float[Array, "lights steps points"]:

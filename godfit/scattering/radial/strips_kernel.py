@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from godfit.runtime.numba_jit import fast, inlined
+from godfit.runtime.numba_jit import fast_jit, inlined_jit
 from godfit.runtime.xla_ffi import asks_version, declare, made_known, matrix, result, vector
 
 # Rows and columns of a tile: an inner loop of a fixed length that fills the vector registers.
@@ -23,19 +23,19 @@ CELL = 8
 GROUP = 32
 
 
-@fast
+@fast_jit
 def _clip(value, last):
     """Positions beyond the border read the border, which is there twice."""
     return min(max(value, -1.0), last)
 
 
-@fast
+@fast_jit
 def _doubles(numbers):
     a, b, c, d, e = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
     return float(a), float(b), float(c), float(d), float(e)
 
 
-@fast
+@fast_jit
 def _flat_value(flat, top, bottom, left, right):
     """The one value of the mask's rows top..bottom, columns left..right; NaN if there are more."""
     value = flat[top // CELL, left // CELL]
@@ -47,7 +47,7 @@ def _flat_value(flat, top, bottom, left, right):
     return value
 
 
-@fast
+@fast_jit
 def _span(first, last, scale, shift, limit):
     """First and last index that reads at scale * (first..last) + shift need, in a padded mask."""
     a, b = scale * first + shift, scale * last + shift
@@ -55,14 +55,14 @@ def _span(first, last, scale, shift, limit):
     return math.floor(low) + 1, math.floor(high) + 2
 
 
-@fast
+@fast_jit
 def _reach(step, lag, count, size):
     """Mask rows that a tile may need: more than its own height where taps lie beyond the light."""
     scale = max(abs(1 - (1 - lag) * step), abs(1 - (count - lag) * step))
     return int(min(HIGH * scale + 4, size))
 
 
-@fast
+@fast_jit
 def _tile(mask, flat, numbers, count, top, left, rows, total, level, strip, slope, column, row):
     """The sums of ``rows`` x WIDE pixels from (top, left) on, added to ``total``, but for what flat
     taps add to S and S_r everywhere, which is added to ``level``."""
@@ -124,7 +124,7 @@ def _tile(mask, flat, numbers, count, top, left, rows, total, level, strip, slop
                 total[3, y, x] += c_t * down
 
 
-@fast
+@fast_jit
 def _rows(mask, flat, numbers, count, begin, out):
     """Rows from ``begin`` on of the sums, ``out`` (1 or 4, rows, w); the mask is padded."""
     real = mask.dtype.type
@@ -156,7 +156,7 @@ def _rows(mask, flat, numbers, count, begin, out):
                         out[s, top + y, left + x] = total[s, y, x] + add
 
 
-@fast
+@fast_jit
 def _run(at, begin):
     """How many points from ``begin`` on, at most WIDE, follow each other in a row."""
     length = 1
@@ -169,7 +169,7 @@ def _run(at, begin):
     return length
 
 
-@fast
+@fast_jit
 def scattered(mask, flat, at, numbers, count, out):
     """``out`` (1 or 4, 1, points) at columns and rows ``at`` (2, points)."""
     real = mask.dtype.type
@@ -213,7 +213,7 @@ def scattered(mask, flat, at, numbers, count, out):
                 out[s, 0, some[p]] = total[s, 0, p]
 
 
-@fast
+@fast_jit
 def _group(mask, at, numbers, count, some, total):
     """The sums of at most GROUP points ``some`` (n,), wherever they lie, added to ``total``."""
     real = mask.dtype.type
@@ -259,7 +259,7 @@ def _group(mask, at, numbers, count, some, total):
             total[3, 0, p] += c_t * (lower - upper)
 
 
-@inlined
+@inlined_jit
 def _picture(frame, real):
     if not asks_version(frame):
         mask, flat = matrix(frame, 0, real), matrix(frame, 1, real)
@@ -268,7 +268,7 @@ def _picture(frame, real):
     return 0
 
 
-@inlined
+@inlined_jit
 def _points(frame, real):
     if not asks_version(frame):
         mask, flat = matrix(frame, 0, real), matrix(frame, 1, real)
