@@ -7,7 +7,7 @@ from scipy import ndimage
 
 from godfit.inference.observation import Observation, Picture
 from godfit.inference.sandwich import neighbours, slope_covariance, white, widened
-from godfit.inference.settle import Tangent
+from godfit.inference.solver import Tangent
 from godfit.report.verdict import is_a_line
 
 SIZE = 96

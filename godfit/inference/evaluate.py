@@ -21,9 +21,9 @@ def coordinates_at(z, held, model):
 
 
 @cached_jit
-def predicted(z, held, model, seen):
-    """(n c,) levels at the pixels seen, every pixel's channels together."""
-    return seen.predict(model.moved(z, held))
+def predicted(z, held, model, observation):
+    """(n c,) levels at the pixels observation, every pixel's channels together."""
+    return observation.predict(model.moved(z, held))
 
 
 @cached_jit

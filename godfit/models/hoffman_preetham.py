@@ -80,6 +80,7 @@ class HoffmanPreetham(AbstractModel):
 
     name: ClassVar[str] = "hoffman-preetham"
     held_last: ClassVar[str] = "e_sun"
+    mask_is_sky: ClassVar[bool] = True
     product: ClassVar[tuple[str, str]] = ("scale", "e_sun")
     banded: ClassVar[bool] = False
     channels: ClassVar[int] = 3

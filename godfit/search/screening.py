@@ -18,6 +18,8 @@ from jaxtyping import Array, Float
 from scipy import ndimage
 
 from godfit.inference.observation import Picture
+from godfit.inference.strategy import starts, trading
+from godfit.inference.variable_projection import nonnegative_two
 from godfit.io.filters import grey, shrink
 from godfit.io.image import LEVELS, decode
 from godfit.models.mitchell import Mitchell
@@ -77,23 +79,15 @@ def _solve(rays, shapes, own, target, weight):
     def one(rays):
         s = shapes @ rays
         wt, wo = weight * target, weight * own
-        tt, to, oo = wt @ target, wt @ own, wo @ own
-        ts, os, ss = s @ wt, s @ wo, (s * s) @ weight
-        tiny = 1e-12 * (1 + tt)
-        determinant = oo * ss - os * os
-        regular = determinant > 1e-6 * oo * ss
-        e = jnp.where(regular, (to * ss - ts * os) / jnp.where(regular, determinant, 1.0), 0.0)
-        g = (ts - jnp.maximum(e, 0) * os) / jnp.maximum(ss, tiny)
-        e = jnp.where(g < 0, to / jnp.maximum(oo, tiny), jnp.maximum(e, 0.0))
-        g = jnp.maximum(g, 0.0)
-        cost = tt - 2 * (e * to + g * ts) + e * e * oo + 2 * e * g * os + g * g * ss
-        return e, g, cost
+        products, squares = (wt @ own, s @ wt), (wo @ own, (s * s) @ weight)
+        return nonnegative_two(wt @ target, products, squares, s @ wo)
 
     return lax.map(one, rays)
 
 
-def starts(
-    picture: Picture, model: Mitchell, given: dict[str, float], *, keep: int, seed: int
+@starts.register
+def mitchell_starts(
+    model: Mitchell, picture: Picture, given: dict[str, float], *, keep: int, seed: int
 ) -> list[np.ndarray]:
     """The ``keep`` best starting points in the model's coordinates, best first.
 
@@ -157,6 +151,11 @@ def starts(
         start = np.array([exposure, *shapes[j], max(gain, 1e-4), *spots[i]], np.float32)
         found.append(_with_given(model, start, given))
     return found
+
+
+@trading.register
+def _(model: Mitchell) -> tuple[str, ...]:
+    return "exposure", "decay"
 
 
 def _with_given(model: Mitchell, start: np.ndarray, given: dict[str, float]) -> np.ndarray:
