@@ -20,6 +20,7 @@ from stability_judges import SAMPLES, TRUTH, light_pass, mask_of
 
 from godfit import FitResult
 from godfit import fit as whole_fit
+from godfit.inference.problem import PIXELS
 from godfit.inference.settle import settle
 from godfit.runtime.cache import keep_compiled
 from godfit.search import multigrid
@@ -34,15 +35,11 @@ FOUND = {"light": 2e-3, "decay": 1e-3, "density": 5e-3}
 
 def arrives(result: FitResult, start: np.ndarray) -> bool:
     """Whether the climb from coordinates ``start`` ends at the truth."""
-    model, picture = result.model, result.picture
-    free, held = result.free, result.held
+    problem = result.problem
     with jax.enable_x64(False):
-        point = multigrid.climb(
-            picture.small, model, [start.astype(np.float32)], free, held, 0, lambda _: None
-        )
-        seen = picture.observe(picture.informative(multigrid.PIXELS, 0))
-        settled, _ = settle(point.coordinates, model, seen, free, held)
-        values = {k: float(v) for k, v in model.moved(settled.coordinates, held).values().items()}
+        point = multigrid.climb(problem.small, [start.astype(np.float32)], lambda _: None)
+        settled, _ = settle(point.coordinates, problem, problem.observe(PIXELS))
+        values = {k: float(v) for k, v in problem.at(settled.coordinates).values().items()}
     light = np.hypot(values["light_x"] - TRUTH["light_x"], values["light_y"] - TRUTH["light_y"])
     return bool(
         light < FOUND["light"]

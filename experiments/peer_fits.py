@@ -19,7 +19,7 @@ import optimistix as optx
 from scipy import ndimage, optimize
 
 from godfit import Mitchell, fit
-from godfit.inference import settle as settling
+from godfit.inference import solver
 from godfit.inference.solver import linearise
 
 NAMES = ("exposure", "decay", "density", "weight", "light_x", "light_y")
@@ -331,7 +331,7 @@ def godfit_fit(problem: Problem, start: dict[str, float] | None, *, whole: bool)
             watch(np.asarray(_parameters_at(z, held, model)))
             return linearise(z, held, scale, model, seen)
 
-        with mock.patch.object(settling, "linearise", shown):
+        with mock.patch.object(solver, "linearise", shown):
             answer()
 
     answer()

@@ -20,6 +20,7 @@ from godfit.blind.turns import Read
 from godfit.inference.estimates import Estimate
 from godfit.inference.likelihood import ANY_LEVEL, deviance_residuals, interval
 from godfit.inference.observation import Picture
+from godfit.inference.problem import Problem
 from godfit.inference.solver import Point, solve
 from godfit.io.sources import read_source, shrink_mask
 from godfit.models.bright_pass import BrightPass
@@ -477,10 +478,11 @@ def test_no_background_is_much_darker_than_black():
     start[VEIL] *= 10
     free, held = np.arange(len(start)) >= FIRST, np.full_like(start, np.nan)
     seen = picture.observe(np.arange(0, SIZE[0] * SIZE[1], 7))
-    found = solve(start, free, held, model, seen, 1.0).coordinates
+    problem = Problem(model, picture, free, held)
+    found = solve(start, problem, seen, 1.0).coordinates
     assert (found[FIRST : FIRST + 2] == np.float32(DARKEST)).all()
     assert DARKEST < found[FIRST + 2] < 0.6
-    anyhow = solve(start, free, held, model, seen, 1.0, bounded=False).coordinates
+    anyhow = solve(start, problem, seen, 1.0, bounded=False).coordinates
     assert (anyhow[FIRST : FIRST + 2] < 2 * DARKEST).all()
     field = DiscLight(model.shading, model.shape, np.zeros((TERMS[1], 3)))
     for each in (model, field):

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from godfit import Mitchell, fit
-from godfit.inference.observation import Observation, Picture
-from godfit.inference.settle import Settled, _exact, _least, settle, tangent_at
+from godfit.inference.observation import Picture
+from godfit.inference.problem import Problem
+from godfit.inference.settle import Settled, _exact, _least, settle
+from godfit.inference.solver import tangent_at
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import scenes
@@ -37,15 +39,16 @@ def test_a_tangent_that_is_known_is_taken():
     mask = jnp.asarray(rng.random((24, 24)), jnp.float32)
     image = 255 * np.asarray(model(mask)).reshape(-1)
     lo = np.floor(image).astype(np.float32)
-    seen = Observation(
-        mask, None, jnp.arange(24 * 24), jnp.asarray(lo), jnp.asarray(lo + 1), (24, 24), 1,
-        "none", True,
-    )  # fmt: skip
+    picture = Picture(
+        (lo + 0.5).reshape(24, 24, 1), 0.5, np.ones((24, 24), bool), np.asarray(mask), None, "none"
+    )
+    seen = picture.observe(np.arange(24 * 24))
     free, held = np.ones(6, bool), np.full(6, np.nan, np.float32)
     start = np.array(model.coordinates(), np.float32) * np.float32(1.001)
-    settled, tangent = settle(start, model, seen, free, held)
+    problem = Problem(model, picture, free, held)
+    settled, tangent = settle(start, problem, seen)
     known = [tangent]
-    again, _ = settle(settled.coordinates, model, seen, free, held, known=known)
+    again, _ = settle(settled.coordinates, problem, seen, known=known)
     assert known == []
     assert again.log_likelihood >= settled.log_likelihood - 1e-3
 
@@ -73,13 +76,14 @@ def test_a_few_pixels_say_where_a_tangent_leads():
     picture = Picture(np.round(levels), 0.5, np.ones((size, size), bool), mask, None, "none")
     seen, held = picture.observe(np.arange(size * size)), np.full(6, np.nan, np.float32)
     z = np.asarray(model.coordinates(), np.float32)
-    tangent = tangent_at(z, held, model, seen)
+    problem = Problem(model, picture, np.ones(6, bool), held)
+    tangent = tangent_at(z, problem, seen)
     values = np.sort(rng.choice(size * size, 500, replace=False))
     few = [(values, seen.only(values))]
     np.testing.assert_allclose(few[0][1].predict(model), seen.predict(model)[values], atol=1e-4)
 
     def render(z, seen):
-        return tangent_at(z, held, model, seen)
+        return tangent_at(z, problem, seen)
 
     def off(z, there):
         return np.sqrt(np.square(render(z, seen).prediction - there.prediction).mean())
@@ -89,7 +93,7 @@ def test_a_few_pixels_say_where_a_tangent_leads():
         goal[1] *= 1 + 2 * share
         there = tangent._replace(prediction=tangent.moved(goal - z))
         at = Settled(goal, 0.005, 0.0, False)
-        exact = _exact(at, there, few, render, np.ones(6, bool), model)
+        exact = _exact(at, there, few, render, problem)
         assert (exact is not None) == found
         if exact is not None:
             # What is left is what float32 leaves; the tangent itself was off by several times that.

@@ -12,11 +12,13 @@ P = 6
 
 
 def problem(seed):
-    """A quadratic cost with a lower bound of 0, its runs counted: (model, run, slope, matrix,
+    """A quadratic cost with a lower bound of 0, its runs counted: (problem, run, slope, matrix,
     goal, runs)."""
     rng = np.random.default_rng(seed)
     matrix, goal, runs = rng.normal(size=(20, P)), rng.normal(size=20), []
-    model = SimpleNamespace(bounds=lambda: ([0.0] * P, [np.inf] * P))
+    bounded = SimpleNamespace(
+        free=np.ones(P, bool), bounds=(np.zeros(P, np.float32), np.full(P, np.inf, np.float32))
+    )
 
     def run(z, moving):
         runs.append(moving.copy())
@@ -28,17 +30,17 @@ def problem(seed):
     def slope(z):
         return matrix.T @ (matrix @ z - goal)
 
-    return model, run, slope, matrix, goal, runs
+    return bounded, run, slope, matrix, goal, runs
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_the_least_inside_bounds_is_found_from_where_it_lies(seed):
     """A coordinate on its bound that would leave at once does not move: one run is all."""
-    model, run, slope, matrix, goal, runs = problem(seed)
+    bounded, run, slope, matrix, goal, runs = problem(seed)
     best = lsq_linear(matrix, goal, (0, np.inf), tol=1e-14).x
     best[best < 1e-6] = 0
     assert (best == 0).any()
-    found = _inside(best, np.ones(P, bool), model, run, slope)
+    found = _inside(best, bounded, run, slope)
     np.testing.assert_allclose(found.coordinates, best, atol=1e-5)
     assert len(runs) == 1
     assert np.array_equal(runs[0], best > 0)
@@ -47,12 +49,11 @@ def test_the_least_inside_bounds_is_found_from_where_it_lies(seed):
 @pytest.mark.parametrize("seed", range(20))
 def test_what_lies_on_its_bound_comes_in_where_it_should(seed):
     """From a corner, where all but one are on their bounds."""
-    model, run, slope, matrix, goal, _ = problem(seed)
+    bounded, run, slope, matrix, goal, _ = problem(seed)
     best = lsq_linear(matrix, goal, (0, np.inf), tol=1e-14)
-    free = np.ones(P, bool)
     start = np.zeros(P)
     start[np.argmax(best.x)] = 1.0
-    found = _inside(start, free, model, run, slope)
+    found = _inside(start, bounded, run, slope)
     assert (found.coordinates >= 0).all()
     cost = 0.5 * np.sum((goal - matrix @ start) ** 2)
     # Not always the least, as none that was let go is tried again, but nearly all of the way there.
