@@ -68,7 +68,7 @@ COMPILED = (
     "godfit.flatland.cascade_kernel",
     "godfit.scattering.radial.strips_kernel",
     "godfit.runtime.xla_ffi",
-    "godfit.inference.sample_count_kernel",
+    "godfit.scattering.radial.spacings_kernel",
 )
 compiled = {name: importlib.import_module(name) for name in COMPILED}
 for name in [n for n in sys.modules if n.split(".")[0] == "godfit"]:

@@ -61,8 +61,8 @@ def test_what_lies_on_its_bound_comes_in_where_it_should(seed):
 
 
 def test_what_is_held_is_not_moved():
-    model, run, slope, *_, runs = problem(0)
-    free = np.arange(P) > 0
-    found = _inside(np.zeros(P), free, model, run, slope)
+    bounded, run, slope, *_, runs = problem(0)
+    bounded.free = np.arange(P) > 0
+    found = _inside(np.zeros(P), bounded, run, slope)
     assert found.coordinates[0] == 0
     assert not any(moving[0] for moving in runs)

@@ -22,12 +22,12 @@ from godfit.blind.screenshot import FOREIGN
 from godfit.blind.segment import grown
 from godfit.blind.unaided import DISAGREE, LEAST, blocks
 from godfit.errors import InputError
-from godfit.inference.evaluate import occlusion_of
+from godfit.inference.distinct import local_minima
+from godfit.inference.evaluate import occlusion_of, predictions
 from godfit.inference.fitted import Found
 from godfit.inference.information import evidence
 from godfit.inference.observation import Observation, Picture
 from godfit.inference.problem import Problem, given_and_held
-from godfit.inference.scan import local_minima, predictions
 from godfit.inference.settle import settle
 from godfit.inference.solver import Point, solve
 from godfit.io.image import LEVELS, Image

@@ -82,9 +82,8 @@ def fit(
     if (profile or posterior) and not {"mask", "scene", "canvas"} & study.options.keys():
         wanted = f"--profile {profile[0]}" if profile else "--posterior"
         raise click.UsageError(f"{wanted}: expected --mask, --scene or --canvas with it, got none")
-    free = study.options["free"]
-    if free and "scene" not in study.options:
-        raise click.UsageError(f"--free {free[0]}: expected --scene SCENE.toml with it, got a mask")
+    for name in study.options["free"] if "scene" not in study.options else ():
+        raise click.UsageError(f"--free {name}: expected --scene SCENE.toml with it, got a mask")
     with working(run) as progress:
         from godfit.fitting import fit
         from godfit.studies.posterior import require

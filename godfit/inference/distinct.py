@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import TypeVar
 
+import numpy as np
+
 Item = TypeVar("Item")
 
 
@@ -20,3 +22,13 @@ def distinct(
         if not any(same(item, other) for other in kept):
             kept.append(item)
     return kept
+
+
+DOUBT = 8.0
+
+
+def local_minima(costs: np.ndarray) -> np.ndarray:
+    """Indices at which ``costs`` (n,) are finite and not above either neighbour."""
+    costs = np.where(np.isfinite(costs), costs, np.inf)
+    around = np.pad(costs, 1, constant_values=np.inf)
+    return np.flatnonzero(np.isfinite(costs) & (costs <= around[:-2]) & (costs <= around[2:]))

@@ -3,8 +3,12 @@ own, each kept. Done one by one, the operations of a single ``moved`` take twent
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
+from godfit.inference.observation import Observation
+from godfit.models.base import AbstractModel, Vector
 from godfit.runtime.program_cache import cached_jit
 
 
@@ -38,3 +42,11 @@ def taps_of(model):
     (taps,) = model.taps
     own = jnp.full(1, taps.own, taps.c.dtype)
     return jnp.append(jnp.zeros_like(own), taps.t), jnp.append(own, taps.c)
+
+
+@cached_jit
+def predictions(
+    points: Float[Array, "n p"], held: Vector, model: AbstractModel, observation: Observation
+) -> Float[Array, "n m"]:
+    """Levels of the model at each of ``points``."""
+    return jax.lax.map(lambda z: observation.predict(model.moved(z, held)), points)

@@ -10,7 +10,7 @@ import numpy as np
 from godfit.inference.likelihood import interval
 from godfit.inference.observation import Observation
 from godfit.inference.settle import Settled
-from godfit.inference.solver import Tangent
+from godfit.inference.solver import Intervals, Tangent
 from godfit.runtime.parallel import parallel_map
 from godfit.runtime.program_cache import cached_jit
 
@@ -88,7 +88,9 @@ class Evidence(NamedTuple):
 
 
 @cached_jit
-def _evidence(prediction, jacobian, lo, hi, sigma, blunt_sigma, foreign):
+def _evidence(prediction, jacobian, intervals, sigma, blunt_sigma):
+    lo, hi, foreign = intervals
+
     def pixels(sigma):
         return interval((lo - prediction) / sigma, (hi - prediction) / sigma, foreign)
 
@@ -109,8 +111,9 @@ def evidence(settled: Settled, tangent: Tangent, observation: Observation) -> Ev
     blunt_sigma = np.hypot(sigma, width[np.isfinite(width)].max(initial=0) / math.sqrt(12))
 
     def of(rows: slice) -> list[np.ndarray]:
-        values = tangent.prediction[rows], tangent.jacobian[:, rows], lo[rows], hi[rows]
-        found = _evidence(*values, np.float32(sigma), np.float32(blunt_sigma), observation.foreign)
+        intervals = Intervals(lo[rows], hi[rows], observation.foreign)
+        values = tangent.prediction[rows], tangent.jacobian[:, rows], intervals
+        found = _evidence(*values, np.float32(sigma), np.float32(blunt_sigma))
         return [np.asarray(z) for z in found]
 
     parts = parallel_map(of, [slice(b, b + BLOCK) for b in range(0, len(lo), BLOCK)])

@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from godfit.inference.observation import Picture
-from godfit.inference.sample_count_kernel import left
 from godfit.io.filters import grey
 from godfit.io.image import LEVELS
 from godfit.models.mitchell import Mitchell, resampled
 from godfit.runtime.parallel import cores, parallel_map
+from godfit.scattering.radial.spacings_kernel import left
 
 FEW, MORE, KEEP = 128, 4096, 12
 LEAST, MOST = 8, 320

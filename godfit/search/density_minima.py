@@ -14,13 +14,13 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from godfit.inference.distinct import distinct
+from godfit.inference.distinct import DOUBT, distinct
+from godfit.inference.evaluate import predictions
 from godfit.inference.information import Evidence, evidence, misfit
 from godfit.inference.noise import EXPLAINED, SIGMAS, WITHIN_ROUNDING
 from godfit.inference.observation import Observation
 from godfit.inference.problem import PIXELS, Problem
 from godfit.inference.repeated_values import counted_once
-from godfit.inference.scan import DOUBT, predictions
 from godfit.inference.settle import Settled, settle, veil
 from godfit.inference.solver import solve
 from godfit.inference.strategy import COARSE_TO_FINE, Report

@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from godfit.inference.distinct import distinct
+from godfit.inference.distinct import DOUBT, distinct, local_minima
+from godfit.inference.evaluate import predictions
 from godfit.inference.likelihood import deviance_residuals
 from godfit.inference.observation import Observation
 from godfit.inference.problem import PIXELS, Problem
-from godfit.inference.scan import DOUBT, local_minima, predictions
 from godfit.inference.settle import Settled, settle
 from godfit.inference.solver import Point, solve
 from godfit.inference.strategy import COARSE_TO_FINE

@@ -9,6 +9,7 @@ shared by all attenuations and densities, which are weights along them.
 from __future__ import annotations
 
 import itertools
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -30,6 +31,8 @@ from godfit.scattering.radial.nearest import DENSITIES, STEPS, read_rays
 
 SIZE = 64
 POINTS = 512
+# Groups of lights that are grown by one more light.
+GROUPS = 48
 # Lights drawn where it is bright: so many that all lights are an even number.
 SPOTS = 65
 KAPPAS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 7.0, 11.0, 18.0, 30.0)
@@ -69,12 +72,22 @@ def _box_rays(
     return lax.map(one, light)
 
 
+class _View(NamedTuple):
+    """The points (n,) of the small copy that are compared: the mask at the pixel itself, the light
+    pass of the target, and whether that counts."""
+
+    own: np.ndarray
+    target: np.ndarray
+    weight: np.ndarray
+
+
 @cached_jit
-def _solve(rays, shapes, own, target, weight):
+def _solve(rays, shapes, view):
     """Exposure and gain, neither negative, and the cost, for every light and shape.
 
-    rays (lights, steps, points), shapes (shapes, steps), own, target, weight (points,).
+    ``rays`` (lights, steps, points), ``shapes`` (shapes, steps); ``view`` as in ``_View``.
     """
+    own, target, weight = view
 
     def one(rays):
         s = shapes @ rays
@@ -129,15 +142,16 @@ def mitchell_starts(
         def read(spots):
             return read_rays(on_device(fine), on_device(spots), on_device(at))
 
+    view = _View(own, goal, trust)
     groups = np.arange(len(places))[:, None]
     if lights > 1:
         rays, required = read(places), tuple(range(len(told)))
-        groups = _best_groups(rays, along, own, goal, trust, lights, required)
+        groups = _best_groups(rays, along, view, lights, required)
         groups = np.array([_in_order(group, places, told) for group in groups])
         rays = rays[jnp.asarray(groups)].sum(1)
-        e, g, cost = (np.asarray(z) for z in _solve(rays, along, own, goal, trust))
+        e, g, cost = (np.asarray(z) for z in _solve(rays, along, view))
     else:
-        e, g, cost = map_halves(lambda spots: _solve(read(spots), along, own, goal, trust), places)
+        e, g, cost = map_halves(lambda spots: _solve(read(spots), along, view), places)
     spots = places[groups].reshape(len(groups), -1)
     found = []
     for i, j in apart(cost, spots, shapes, keep):
@@ -245,20 +259,17 @@ def apart(
     return kept
 
 
-def _best_groups(rays, along, own, target, weight, lights, required, groups=48):
+def _best_groups(rays, along, view, lights, required):
     """Groups of lights, grown one light at a time from the cheapest."""
     start = [required]
     for size in range(len(required) + 1, lights + 1):
         grown = sorted({(*g, i) for g in start for i in range(len(rays)) if i not in g})
         grown = list({frozenset(g): g for g in grown}.values())
         costs = []
+        scaled = view._replace(own=view.own * size / lights)
         for batch in range(0, len(grown), 256):
             index = np.array(grown[batch : batch + 256])
-            costs.append(
-                np.asarray(
-                    _solve(rays[index].sum(1), along, own * size / lights, target, weight)[2]
-                ).min(1)
-            )
-        order = np.argsort(np.concatenate(costs))[:groups]
+            costs.append(np.asarray(_solve(rays[index].sum(1), along, scaled)[2]).min(1))
+        order = np.argsort(np.concatenate(costs))[:GROUPS]
         start = [grown[i] for i in order]
     return np.array(start)

@@ -13,19 +13,18 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from godfit.inference import sample_count
-from godfit.inference.distinct import distinct
+from godfit.inference.distinct import DOUBT, distinct
 from godfit.inference.information import misfit
 from godfit.inference.noise import EXPLAINED, WITHIN_ROUNDING
 from godfit.inference.observation import Observation
 from godfit.inference.problem import PIXELS, Problem, pixels_used
-from godfit.inference.scan import DOUBT
 from godfit.inference.settle import settle, veil
 from godfit.inference.solver import Tangent
 from godfit.inference.strategy import left_open
 from godfit.inference.strategy import starts as starts_of
 from godfit.models.base import AbstractModel
 from godfit.models.mitchell import Mitchell
-from godfit.models.tinted import Tinted
+from godfit.models.tinted import TINT, Tinted
 from godfit.report.result import FitResult
 from godfit.report.select import Rung
 from godfit.runtime.parallel import parallel_map
@@ -155,7 +154,8 @@ class Ladder:
         model = Tinted(below)
         shown = self.picture.levels.reshape(-1, 3).mean(0) + 1e-3
         z = self._coordinates(model)
-        z[-2:] = shown[[0, 2]] / shown[1]
+        tint = dict(zip([row.name for row in TINT], shown[[0, 2]] / shown[1], strict=True))
+        z = np.array([tint.get(name, at) for name, at in zip(model.parameters, z, strict=True)])
         rung = self._fitted("+ colour", "a light of a colour", model, held, [z])
         return dataclasses.replace(rung, parameters=rung.parameters + extra)
 

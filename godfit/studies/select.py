@@ -19,6 +19,7 @@ import numpy as np
 
 from godfit.errors import InputError
 from godfit.fitting import fit
+from godfit.inference.criteria import CLEAR, aic, bic
 from godfit.inference.likelihood import log_likelihood
 from godfit.inference.noise import EXPLAINED
 from godfit.inference.problem import Problem
@@ -26,7 +27,7 @@ from godfit.inference.solver import Intervals, solve_tangent
 from godfit.io.sources import Source, read_source
 from godfit.models.mitchell import Mitchell
 from godfit.report.result import FitResult
-from godfit.report.select import CLEAR, Row, Rung, Selection
+from godfit.report.select import Row, Rung, Selection
 from godfit.runtime.parallel import parallel_map
 from godfit.scattering.taps import CONVENTIONS
 from godfit.scenes.scene import Scene, read_scene
@@ -97,16 +98,16 @@ def select(
 def _judged(rungs: list[Rung], ladder: Ladder, share: float) -> tuple[list[Row], int]:
     """The rows, and which of them is recommended. Of correlated values only a ``share`` counts."""
     observation = ladder.observation
-    penalty = math.log(share * len(np.asarray(observation.lo)))
+    values = share * len(np.asarray(observation.lo))
     lo, hi = np.asarray(observation.lo), np.asarray(observation.hi)
     known = np.isfinite(lo) & np.isfinite(hi)
     middle = (np.where(known, lo, 0) + np.where(known, hi, 0)) / 2
     scores, sizes = zip(*parallel_map(lambda rung: _held_out(rung, ladder), rungs), strict=True)
-    costs = [-2 * share * rung.settled.log_likelihood for rung in rungs]
-    bics = [c + penalty * r.parameters for c, r in zip(costs, rungs, strict=True)]
+    likelihoods = [share * rung.settled.log_likelihood for rung in rungs]
+    bics = [bic(lk, r.parameters, values) for lk, r in zip(likelihoods, rungs, strict=True)]
     best = int(np.argmin(bics))
     rows = []
-    for rung, cost, bic, score in zip(rungs, costs, bics, scores, strict=True):
+    for rung, likelihood, schwarz, score in zip(rungs, likelihoods, bics, scores, strict=True):
         behind = scores[best] - score
         error = math.sqrt(len(behind) * float(behind.var()))
         left = np.where(known, rung.tangent.prediction - middle, 0)
@@ -116,8 +117,8 @@ def _judged(rungs: list[Rung], ladder: Ladder, share: float) -> tuple[list[Row],
             Row(
                 rung=rung,
                 rmse=rmse,
-                aic=cost + 2 * rung.parameters,
-                bic=bic,
+                aic=aic(likelihood, rung.parameters),
+                bic=schwarz,
                 held_out=float(score.sum() / total),
                 behind=float(behind.sum() / total),
                 behind_error=error / float(total),
