@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from godfit.inference.evaluate import model_at
 from godfit.models.base import AbstractModel, Vector
 from godfit.runtime.program_cache import cached_jit
 
@@ -61,7 +62,9 @@ def estimates(model: AbstractModel, solution: Solution, used: np.ndarray) -> Est
     z = np.where(np.isin(np.arange(len(names)), opened), z, coordinates)
     # An open parameter is held only for want of better: what it would move is not known either.
     loose = np.where(np.isin(np.arange(len(names)), opened), np.nan, held).astype(np.float32)
-    fitted, values, by_coordinate = _parameters(model, z.astype(np.float32), loose)
+    z = z.astype(np.float32)
+    fitted = model_at(z, loose, model)
+    values, by_coordinate = _parameters(model, z, loose)
     values, by_coordinate = np.asarray(values), np.asarray(by_coordinate, np.float64)
     covariance = by_coordinate @ spread @ by_coordinate.T
     combined = _combined(model.product, names, opened, values, covariance)
@@ -97,12 +100,12 @@ def held_at(held: np.ndarray, opened: list[int], values: np.ndarray) -> np.ndarr
 
 @cached_jit
 def _parameters(model: AbstractModel, coordinates: Vector, held: Vector):
-    """The model at ``coordinates``, its parameters (p,), their derivatives (p, p) by coordinate."""
+    """Parameters (p,) at ``coordinates``, and their derivatives (p, p) by coordinate."""
 
     def values(z):
         return jnp.stack(list(model.moved(z, held).values().values()))
 
-    return model.moved(coordinates, held), values(coordinates), jax.jacfwd(values)(coordinates)
+    return values(coordinates), jax.jacfwd(values)(coordinates)
 
 
 def _combined(

@@ -3,19 +3,25 @@ own, each kept. Done one by one, the operations of a single ``moved`` take twent
 
 from __future__ import annotations
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from godfit.inference.observation import Observation
 from godfit.models.base import AbstractModel, Vector
-from godfit.runtime.program_cache import cached_jit
+from godfit.runtime.program_cache import RunTime, cached_jit
+
+
+def model_at(z, held, model):
+    """The model there."""
+    return eqx.combine(_moved(z, held, model), model)
 
 
 @cached_jit
-def model_at(z, held, model):
-    """The model there."""
-    return model.moved(z, held)
+def _moved(z, held, model):
+    # What does not move stays with the caller: a traced number of samples would come back an array.
+    return eqx.filter(model.moved(z, held), eqx.is_inexact_array)
 
 
 @cached_jit
@@ -36,9 +42,14 @@ def occlusion_of(model, mask):
     return model.occlusion(mask)
 
 
-@cached_jit
 def taps_of(model):
     """Places (k + 1,) and weights (k + 1,) of the one pass of ``model``, the pixel's own first."""
+    # So many numbers as there are taps: a program of its own for each.
+    return _taps_of(jax.tree.map(lambda leaf: int(leaf) if type(leaf) is RunTime else leaf, model))
+
+
+@cached_jit
+def _taps_of(model):
     (taps,) = model.taps
     own = jnp.full(1, taps.own, taps.c.dtype)
     return jnp.append(jnp.zeros_like(own), taps.t), jnp.append(own, taps.c)

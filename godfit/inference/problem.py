@@ -8,10 +8,10 @@ import functools
 from collections.abc import Mapping
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from godfit.errors import InputError
+from godfit.inference.evaluate import model_at
 from godfit.inference.observation import Observation, Picture
 from godfit.io.image import Image
 from godfit.io.sources import shrink_mask
@@ -76,7 +76,7 @@ class Problem:
 
     def at(self, coordinates: np.ndarray) -> AbstractModel:
         """The model at ``coordinates`` (p,), with the held parameters where they are held."""
-        return self.model.moved(jnp.asarray(coordinates), jnp.asarray(self.held))
+        return model_at(coordinates, self.held, self.model)
 
     def observe(self, count: int, blur: float = 0.0) -> Observation:
         """``count`` informative pixels of the picture, blurred by ``blur`` pixels."""

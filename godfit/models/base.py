@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from godfit.scattering.parameters import Parameter
+from godfit.scattering.taps import Count
 from godfit.scattering.upsample import Texels
 
 # By coordinate or by parameter; what lives between two calls is kept as a numpy array.
@@ -38,7 +39,7 @@ class AbstractModel(eqx.Module):
     banded: eqx.AbstractClassVar[bool]
     # Channels that the image has whatever the mask has.
     channels: eqx.AbstractClassVar[int]
-    samples: eqx.AbstractVar[int]
+    samples: eqx.AbstractVar[Count]
     light: eqx.AbstractVar[Float[Array, "lights 2"]]
 
     @property

@@ -26,7 +26,7 @@ from godfit.scattering.parameters import SCATTERING, Parameter, light_parameters
 from godfit.scattering.radial.coordinates import to_pixels
 from godfit.scattering.radial.derivatives import Numbers, is_zero, partial_derivatives
 from godfit.scattering.radial.exact import fastest
-from godfit.scattering.taps import Convention, Taps
+from godfit.scattering.taps import Convention, Count, Taps, TracedCount
 from godfit.scattering.upsample import Texels, at_pixels
 
 try:
@@ -124,7 +124,7 @@ class DiscLight(AbstractModel):
         return self.shading.convention
 
     @property
-    def samples(self) -> int:
+    def samples(self) -> Count:
         return self.shading.samples
 
     @property
@@ -325,8 +325,9 @@ class DiscLight(AbstractModel):
             *to_pixels(self.light[0].astype(dtype), *size), ratio, step, jnp.asarray(taps.lag)
         )
         where = at.reshape(-1, 2).T.astype(dtype)
+        count = taps.count.value if isinstance(taps.count, TracedCount) else taps.count
         lit = disc_pass(
-            open_, where, numbers, self.shape.astype(dtype), taps.count, self.cut, SOFT, slopes
+            open_, where, numbers, self.shape.astype(dtype), count, self.cut, SOFT, slopes
         )
         out = (own * lit.itself + first * lit.sums[0]).reshape(at.shape[:-1])
         if not slopes:

@@ -35,6 +35,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 
 from godfit.runtime.cache import cache_folder, newest_source
@@ -105,6 +106,16 @@ def _notes(folder: Path) -> Path:
     return folder / ("needed-" + hashlib.sha256(_occasion.encode()).hexdigest()[:16])
 
 
+class RunTime(int):
+    """A whole number that compiled programs take at run time: another one needs no other program.
+    To Python it is an ``int``; inside a program it is traced."""
+
+
+def _dynamic(leaf: Any) -> Any:
+    """The array of what is taken at run time; anything else as it is."""
+    return np.int32(leaf) if isinstance(leaf, RunTime) else leaf
+
+
 def cached_jit(function: Callable[..., Any]) -> Callable[..., Any]:
     """``jax.jit`` of a function of arrays, modules of them, and settings, which are all else; its
     results are arrays, in tuples and modules or not. Once ``keep_programs`` was called the program
@@ -113,6 +124,7 @@ def cached_jit(function: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(function)
     def call(*args: Any) -> Any:
         leaves, tree = jax.tree.flatten(args)
+        leaves = [_dynamic(leaf) for leaf in leaves]
         arrays = tuple(eqx.is_array(leaf) for leaf in leaves)
         dynamic = [leaf for leaf, is_one in zip(leaves, arrays, strict=True) if is_one]
         # With their types: 1 is True, and yet another setting.

@@ -13,20 +13,42 @@ from __future__ import annotations
 
 import difflib
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jax.core import Tracer
+from jaxtyping import Array, Float, Int
 
 from godfit.errors import InputError
 
 Scalar = Float[Array, ""] | float
 
 
+@dataclass(frozen=True, eq=False)
+class TracedCount:
+    """A number of taps that a compiled program takes at run time. Methods that unroll the taps
+    cannot serve it."""
+
+    value: Int[Array, ""]
+
+
+if TYPE_CHECKING:
+    Count = int
+else:
+    Count = int | Int[Array, ""] | TracedCount
+
+
+def as_count(number: Count) -> Count:
+    """What ``Taps`` keep of a number that may be traced."""
+    return TracedCount(number) if isinstance(number, Tracer) else number
+
+
 class Taps(eqx.Module):
     """Taps c_k = first * ratio**(k-1) at t_k = (k - lag) * step for k = 1..count, and c_0 = own at
     t_0 = 0. No shader has a lag; taps that stand for several do.
+
+    ``count`` is a Python number or, inside a program that serves every number, a ``TracedCount``.
 
     ``unit`` says what ``step`` is measured in: ``"ray"`` is a fraction of the way from the pixel
     to the light (0 at the pixel, 1 at the light); ``"uv"`` is a distance in texture coordinates,
@@ -37,7 +59,7 @@ class Taps(eqx.Module):
     first: Scalar
     ratio: Scalar
     step: Scalar
-    count: int = eqx.field(static=True)
+    count: Count = eqx.field(static=True)
     unit: Literal["ray", "uv"] = eqx.field(static=True, default="ray")
     lag: Scalar = 0.0
 
@@ -57,11 +79,11 @@ class Taps(eqx.Module):
         return self.own + self.c.sum()
 
 
-def average(samples: int) -> Taps:
+def average(samples: Count) -> Taps:
     """The mean of ``samples`` equal steps from the pixel to the light: of a mask that is 1 where
     the sky is seen it makes 1 - D, the share of the ray that nothing occludes (Mitchell, GPU Gems
     3, ch. 13, equation 3)."""
-    return Taps(0.0, 1 / samples, 1.0, 1 / samples, samples)
+    return Taps(0.0, 1 / samples, 1.0, 1 / samples, as_count(samples))
 
 
 @dataclass(frozen=True)
@@ -87,14 +109,15 @@ class Convention:
     remarks: str = ""
 
     def taps(
-        self, exposure: Scalar, decay: Scalar, density: Scalar, weight: Scalar, samples: int
+        self, exposure: Scalar, decay: Scalar, density: Scalar, weight: Scalar, samples: Count
     ) -> tuple[Taps, ...]:
         """The taps of each pass. Those of a ``box`` convention do not hold the exposure."""
         if self.box:
             return tuple(Taps(1 / 6, 1 / 6, 1.0, step, 5, "uv") for step in self.box)
         scale = self.gain * jnp.asarray(exposure)
         first = scale * weight * jnp.asarray(decay) ** (1 - self.order)
-        return (Taps(self.own * scale, first, decay, density / samples, samples - self.drop),)
+        count = as_count(samples - self.drop)
+        return (Taps(self.own * scale, first, decay, density / samples, count),)
 
     @property
     def parameters(self) -> tuple[str, ...]:

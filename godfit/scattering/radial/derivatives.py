@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 
 from godfit.scattering.radial.coordinates import points, to_pixels
 from godfit.scattering.radial.reference import bilinear
-from godfit.scattering.taps import Taps
+from godfit.scattering.taps import Count, Taps, TracedCount
 
 
 class Numbers(NamedTuple):
@@ -40,7 +40,7 @@ class Numbers(NamedTuple):
 # S_r, G_x and G_y per pixel of the mask, at columns and rows ``at`` (2, points), or at every pixel,
 # row by row, where it is None.
 Sums = Callable[
-    [Float[Array, "h w"], Numbers, int, Float[Array, "2 points"] | None, bool],
+    [Float[Array, "h w"], Numbers, Count, Float[Array, "2 points"] | None, bool],
     Float[Array, "sums points"],
 ]
 
@@ -58,7 +58,11 @@ def geometric(
     along_the_ray(taps)
     numbers = (light, taps.own, taps.first, taps.ratio, taps.step)
     lag = jax.lax.stop_gradient(taps.lag)
-    flat = _sum(sums, linear or sums, taps.count, mask, *numbers, lag, at)
+    # A traced count is an argument of the sum, a known one is part of the program.
+    known, count = taps.count, None
+    if isinstance(taps.count, TracedCount):
+        known, count = None, taps.count.value
+    flat = _sum(sums, linear or sums, known, mask, *numbers, lag, at, count)
     return flat.reshape(mask.shape if at is None else at.shape[:-1])
 
 
@@ -69,9 +73,10 @@ def along_the_ray(taps: Taps) -> None:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2))
-def _sum(sums, linear, count, mask, light, own, first, ratio, step, lag, at):
+def _sum(sums, linear, known, mask, light, own, first, ratio, step, lag, at, count):
     numbers, where, out = _prepared(mask, light, ratio, step, lag, at)
-    return own * out + first * sums(mask, numbers, count, where, False)[0]
+    taken = count if known is None else known
+    return own * out + first * sums(mask, numbers, taken, where, False)[0]
 
 
 def _prepared(mask, light, ratio, step, lag, at):
@@ -84,13 +89,13 @@ def _prepared(mask, light, ratio, step, lag, at):
 
 
 @functools.partial(_sum.defjvp, symbolic_zeros=True)
-def _sum_jvp(sums, linear, count, primals, tangents):
-    mask, light, own, first, ratio, step, lag, at = primals
-    d_mask, d_light, d_own, d_first, d_ratio, d_step, _, d_at = tangents
+def _sum_jvp(sums, linear, known, primals, tangents):
+    mask, light, own, first, ratio, step, lag, at, count = primals
+    d_mask, d_light, d_own, d_first, d_ratio, d_step, _, d_at, _ = tangents
     if at is not None and not is_zero(d_at):
         raise ValueError("radial_sum is differentiable in `at` by method 'reference' alone")
     numbers, where, itself = _prepared(mask, light, ratio, step, lag, at)
-    four = sums(mask, numbers, count, where, True)
+    four = sums(mask, numbers, count if known is None else known, where, True)
     by = partial_derivatives(itself, four, first, numbers, (mask.shape[0], mask.shape[1]), at)
     out = own * itself + first * four[0]
     d_out = jnp.zeros_like(out)
@@ -101,7 +106,7 @@ def _sum_jvp(sums, linear, count, primals, tangents):
     if not is_zero(d_light):
         d_out += d_light[0] * by.light_x + d_light[1] * by.light_y
     if not is_zero(d_mask):
-        d_out += _sum(linear, linear, count, d_mask, light, own, first, ratio, step, lag, at)
+        d_out += _sum(linear, linear, known, d_mask, light, own, first, ratio, step, lag, at, count)
     return out, d_out
 
 

@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 from godfit.scattering.radial.derivatives import Numbers, geometric
 from godfit.scattering.radial.pairs import pair_sums
 from godfit.scattering.radial.strips_kernel import CELL, HIGH, target
-from godfit.scattering.taps import Taps
+from godfit.scattering.taps import Count, Taps
 
 # Calls for one picture: XLA shares them out among its threads, if they are many (it runs programs
 # of few steps in their order).
@@ -42,7 +42,7 @@ def _shares(size: int, unit: int, most: int) -> list[tuple[int, int]]:
 def strip_sums(
     mask: Float[Array, "h w"],
     numbers: Numbers,
-    count: int,
+    count: Count,
     at: Float[Array, "2 points"] | None,
     slopes: bool,
 ) -> Float[Array, "sums points"]:
