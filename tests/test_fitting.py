@@ -6,6 +6,7 @@ import pytest
 import godfit
 from godfit.inference.information import undetermined
 from godfit.io.image import Image
+from godfit.search import multigrid
 from godfit.search.screening import _in_order, places_for
 from tests.support import random_targets
 from tests.support.known_truth import SAMPLES, SIZE, TRUTH, errors, fit, picture
@@ -102,8 +103,20 @@ def test_everything_fixed_is_a_comparison():
     assert all(e.fixed for e in result.params.values())
 
 
-def test_a_start_is_used():
+def test_a_start_is_used(monkeypatch):
+    """The climb begins from nowhere else, and the truth is found from there."""
+    begun, climb = [], multigrid.climb
+
+    def recorded(picture, model, starts, *rest):
+        begun.extend(starts)
+        return climb(picture, model, starts, *rest)
+
+    monkeypatch.setattr(multigrid, "climb", recorded)
     result = fit(*picture(3), start={"light_x": 0.5, "light_y": 0.6, "density": 0.7})
+    assert begun
+    for start in begun:
+        _, _, density, _, *light = start
+        np.testing.assert_allclose([density, *light], [0.7, 0.5, 0.6], rtol=1e-6)
     assert errors(result)["density"] < 5e-4
 
 

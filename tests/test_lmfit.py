@@ -66,6 +66,7 @@ def test_fit_is_that_of_lmfit(by_godfit, by_lmfit):
         theirs = by_lmfit.params[name]
         assert abs(estimate.value - theirs.value) < 0.02 * theirs.stderr, name
         assert estimate.stderr == pytest.approx(theirs.stderr, rel=0.01), name
+    assert by_godfit.correlations
     for pair, correlation in by_godfit.correlations.items():
         a, b = pair.split(",")
         assert correlation == pytest.approx(by_lmfit.params[a].correl[b], abs=0.02), pair

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from godfit import read_image, write_image
+from godfit import InputError, read_image, write_image
 from godfit.__main__ import main
 from godfit.io.sidecar import read_sidecar
 from godfit.report.text import number
@@ -81,8 +81,9 @@ def test_render_with_defaults_background_and_size(disc):
     mask, out = disc.parent / "disc_mask.png", disc.parent / "out.png"
     arguments = ["render", str(mask), "-o", str(out), "--shader", "babylon", "--light", "0.5,0.6"]
     assert main([*arguments, "--background", str(disc)]) == 0
-    lit = read_image(out).values
-    assert (lit >= read_image(disc).values - 1 / 255).all()
+    lit, under = read_image(out).values, read_image(disc).values
+    assert (lit >= under - 1 / 255).all()
+    assert (lit - under).mean() > 0.05
     assert main([*arguments, "--size", "64x32"]) == 0
     assert read_image(out).values.shape == (32, 64)
 
@@ -273,10 +274,20 @@ def test_side_file_errors_name_file_and_key(disc, capsys, text, words):
     assert "disc.toml" in line
 
 
-def test_options_override_the_side_file(disc):
-    found = read_sidecar(str(disc))
-    assert found["shader"] == "dawntime"
-    assert Path(found["mask"]) == disc.parent / "disc_mask.png"
+def test_options_override_the_side_file(disc, capsys, monkeypatch):
+    """Those that are given, and no other."""
+    given = {}
+
+    def fit(target, **options):
+        given.update(options)
+        raise InputError("stopped")
+
+    monkeypatch.setattr("godfit.fitting.fit", fit)
+    beside = read_sidecar(str(disc))
+    assert (beside["shader"], beside["samples"]) == ("dawntime", 100)
+    assert "stopped" in fails(capsys, 1, "fit", disc, "--shader", "vesper")
+    assert (given["shader"], given["samples"]) == ("vesper", 100)
+    assert Path(given["mask"]) == disc.parent / "disc_mask.png"
 
 
 def test_a_full_disk_leaves_no_half_file(disc, capsys, monkeypatch):

@@ -13,6 +13,7 @@ from godfit import InputError, fit, read_image, write_image
 from godfit.__main__ import main
 from godfit.flatland import Canvas, Sky, read_canvas, render
 from godfit.flatland.model import Flatland, basis
+from godfit.search import multigrid
 from tests.support.paths import DATA_SYNTHETIC as FOLDER
 
 MANIFEST = json.loads((FOLDER / "manifest.json").read_text())["canvases"]
@@ -134,11 +135,19 @@ def test_dark_canvas_says_what_is_not_known(files):
     assert result.params["sun_angle"].value == pytest.approx(130, abs=0.3)
 
 
-def test_held_and_started(files):
+def test_held_and_started(files, monkeypatch):
+    begun, climb = [], multigrid.climb
+
+    def recorded(picture, model, starts, *rest):
+        begun.extend(starts)
+        return climb(picture, model, starts, *rest)
+
+    monkeypatch.setattr(multigrid, "climb", recorded)
     result = fit(
         files / "t.png", canvas=files / "c.png", rays=RAYS, fix={"sun_width": 35.0},
         start={"sun_angle": 100.0},
     )  # fmt: skip
+    assert [start[1] for start in begun] == pytest.approx([100.0])
     assert result.params["sun_width"].fixed
     assert result.params["sun_width"].value == 35
     assert result.params["sun_angle"].value == pytest.approx(130, abs=0.3)

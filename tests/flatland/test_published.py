@@ -34,13 +34,24 @@ def gaps(directions):
 
 
 def test_defect_rays_are_a_radian_apart_and_uneven():
-    """Seen from a pixel, lamps all around are hit by as many rays as the published angles say."""
+    """One published ray meets a narrow sun at each of the angles that are a radian apart, and none
+    does in the widest gap between them."""
     rays = 32
     even = gaps(angles(rays, 1, float))
     np.testing.assert_allclose(even, 2 * np.pi / rays)
-    published = 2 * np.pi / rays + np.arange(rays) + 0.3
-    np.testing.assert_allclose(np.diff(published), 1)
-    assert gaps(published).max() > 2 * gaps(published).min()
+    random = float(as_published.noise((3, 3), float)[1, 1])
+    published = (2 * np.pi / rays + np.arange(rays) + random) % (2 * np.pi)
+
+    @jax.jit
+    def under(angle):
+        sky = Sky(jnp.rad2deg(angle), 0.5, (1.0, 1.0, 1.0), DARK)
+        return render(empty(3, 3), sky, rays=rays, published=True)[1, 1, 0]
+
+    # The published sun is brightest at its own angle, and dark below it.
+    np.testing.assert_allclose([under(angle - 1e-5) for angle in published], 1 / rays, rtol=1e-3)
+    widest = gaps(published).argmax()
+    assert gaps(published)[widest] > 2 * gaps(published).min()
+    assert under(np.sort(published)[widest] + gaps(published)[widest] / 2) == 0
 
     # A narrow sun (smooth in both) is seen by few or many rays as it goes round: the mean over an
     # empty canvas should not depend on where it stands.

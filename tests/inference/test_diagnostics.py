@@ -1,6 +1,8 @@
 """Warnings: each defect is named, clean targets are left alone. A small, seeded run of
 experiments/stability/diagnostics.py."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from godfit.inference.diagnostics import Span, Suspect, named
 from godfit.io.blocks import was_jpeg
 from godfit.search.multistart import edges_agree
 from tests.support import defects, random_targets
+from tests.support import scattering_oracle as oracle
 
 
 # The others in experiments/stability/diagnostics.py: each asks for minutes of compiling.
@@ -37,9 +40,19 @@ def test_the_shift_of_a_mask_is_seen_at_its_edges():
 
 
 def test_every_seed_gives_a_defect_that_is_there():
-    for kind in defects.SAYS:
-        target, given = defects.made(kind, 2, 64)
-        assert target.shape == given["mask"].shape == (64, 64)
+    """With what the fit is given, the truth differs from the target by more than rounding, which is
+    half a level at most; in a clean target it does not."""
+    for kind, seed in itertools.product([*defects.SAYS, "clean"], range(0, 8, 2)):
+        target, given = defects.made(kind, seed, 64)
+        _, truth, _ = defects.truth_and_mask(seed, 64)
+        numbers = [truth[name] for name in ("exposure", "decay", "density", "weight")]
+        light, mask = (truth["light_x"], truth["light_y"]), given["mask"] / 255
+        image = oracle.light_pass(mask, given["shader"], *numbers, light, given["samples"])
+        expected = 255 * image + given.get("background", 0)
+        rounded = target.dtype == np.uint8
+        levels = target.astype(float) if rounded else 255 * target
+        off = levels - (expected.clip(0, 255) if rounded else expected)
+        assert (np.sqrt(np.mean(off**2)) > 0.5) == (kind != "clean"), (kind, seed)
 
 
 @pytest.mark.parametrize("quality", [60, 75, 90, 95])

@@ -55,8 +55,15 @@ def test_it_is_the_sum_over_the_whole_mask(light, radius, edge, cut, most, shade
         np.testing.assert_allclose(part, whole, rtol=0, atol=1e-12 * size)
 
 
-def test_it_is_what_a_model_of_some_points_uses():
+def test_it_is_what_a_model_of_some_points_uses(monkeypatch):
     """In single precision too, and many at a time."""
+    used, in_one = [], DiscLight._in_one
+
+    def recorded(self, open_, at, slopes):
+        used.append(open_.dtype)
+        return in_one(self, open_, at, slopes)
+
+    monkeypatch.setattr(DiscLight, "_in_one", recorded)
     model, (mask, _) = model_at((0.5137, 0.4921), 0.3, 0.001), mask_and_points(1.0)
     pixels = jnp.arange(5, 5800)
 
@@ -72,6 +79,7 @@ def test_it_is_what_a_model_of_some_points_uses():
         single = shown(light.astype(jnp.float32), mask.astype(jnp.float32), "auto")
         assert single.dtype == jnp.float32
         np.testing.assert_allclose(single, right, rtol=3e-6)
+    assert set(used) == {jnp.dtype("float32"), jnp.dtype("float64")}
 
 
 def test_what_is_no_number_gives_none():
