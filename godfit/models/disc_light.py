@@ -26,7 +26,7 @@ from godfit.scattering.parameters import SCATTERING, Parameter, light_parameters
 from godfit.scattering.radial.coordinates import to_pixels
 from godfit.scattering.radial.derivatives import Numbers, is_zero, partial_derivatives
 from godfit.scattering.radial.exact import fastest
-from godfit.scattering.taps import Convention, Count, Taps, TracedCount
+from godfit.scattering.taps import Convention, Count, Taps, number_of
 from godfit.scattering.upsample import Texels, at_pixels
 
 try:
@@ -325,9 +325,8 @@ class DiscLight(AbstractModel):
             *to_pixels(self.light[0].astype(dtype), *size), ratio, step, jnp.asarray(taps.lag)
         )
         where = at.reshape(-1, 2).T.astype(dtype)
-        count = taps.count.value if isinstance(taps.count, TracedCount) else taps.count
         lit = disc_pass(
-            open_, where, numbers, self.shape.astype(dtype), count, self.cut, SOFT, slopes
+            open_, where, numbers, self.shape.astype(dtype), number_of(taps), self.cut, SOFT, slopes
         )
         out = (own * lit.itself + first * lit.sums[0]).reshape(at.shape[:-1])
         if not slopes:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import difflib
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -39,9 +39,14 @@ else:
     Count = int | Int[Array, ""] | TracedCount
 
 
-def as_count(number: Count) -> Count:
+def as_count(number: Any) -> Any:
     """What ``Taps`` keep of a number that may be traced."""
     return TracedCount(number) if isinstance(number, Tracer) else number
+
+
+def number_of(taps: Taps) -> Any:
+    """The number of taps, as the kernels that take it at run time need it."""
+    return taps.count.value if isinstance(taps.count, TracedCount) else taps.count
 
 
 class Taps(eqx.Module):

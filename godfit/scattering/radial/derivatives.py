@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 
 from godfit.scattering.radial.coordinates import points, to_pixels
 from godfit.scattering.radial.reference import bilinear
-from godfit.scattering.taps import Count, Taps, TracedCount
+from godfit.scattering.taps import Count, Taps, TracedCount, number_of
 
 
 class Numbers(NamedTuple):
@@ -59,9 +59,8 @@ def geometric(
     numbers = (light, taps.own, taps.first, taps.ratio, taps.step)
     lag = jax.lax.stop_gradient(taps.lag)
     # A traced count is an argument of the sum, a known one is part of the program.
-    known, count = taps.count, None
-    if isinstance(taps.count, TracedCount):
-        known, count = None, taps.count.value
+    traced = isinstance(taps.count, TracedCount)
+    known, count = (None, number_of(taps)) if traced else (taps.count, None)
     flat = _sum(sums, linear or sums, known, mask, *numbers, lag, at, count)
     return flat.reshape(mask.shape if at is None else at.shape[:-1])
 
