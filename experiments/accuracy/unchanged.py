@@ -19,6 +19,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+import numpy as np
+
 DATA = Path(__file__).resolve().parents[2] / "data_synthetic"
 VALUE = 0.1
 """How far a value may move, in the error that was quoted for it."""
@@ -68,10 +70,13 @@ def differences(before: dict, after: dict) -> tuple[list[str], float, float]:
             if old["value"] != new["value"] and old["fixed"]:
                 found.append(f"{name}: held at {old['value']}, now {new['value']}")
         else:
-            value = abs(new["value"] - old["value"]) / old["stderr"]
-            error = abs(new["stderr"] / old["stderr"] - 1)
-            moved, scaled = max(moved, value), max(scaled, error)
-            if value > VALUE or error > ERROR:
+            apart = abs(new["value"] - old["value"])
+            value, error = apart / old["stderr"], abs(new["stderr"] / old["stderr"] - 1)
+            # Errors can be finer than float32 holds the value.
+            last_place = apart <= 1.01 * float(np.spacing(np.float32(abs(old["value"]))))
+            scaled = max(scaled, error)
+            moved = moved if last_place else max(moved, value)
+            if (value > VALUE and not last_place) or error > ERROR:
                 found.append(f"{name}: moved by {value:.3g} errors, its error by {error:.1%}")
     return found, moved, scaled
 
