@@ -107,9 +107,9 @@ def test_a_start_is_used(monkeypatch):
     """The climb begins from nowhere else, and the truth is found from there."""
     begun, climb = [], multigrid.climb
 
-    def recorded(picture, model, starts, *rest):
+    def recorded(problem, starts, *rest, **options):
         begun.extend(starts)
-        return climb(picture, model, starts, *rest)
+        return climb(problem, starts, *rest, **options)
 
     monkeypatch.setattr(multigrid, "climb", recorded)
     result = fit(*picture(3), start={"light_x": 0.5, "light_y": 0.6, "density": 0.7})

@@ -6,7 +6,8 @@
 
 `fit` runs the command line on every target of data_synthetic but the bare pictures (screen_*) and
 keeps each fit.json. `compare` prints one line for each target that differs and exits 1 if one does:
-a parameter by more than a tenth of the error that was quoted before, a quoted error by more than
+a parameter by more than a tenth of the error that was quoted before (and more than the last place
+of a float32), a quoted error by more than
 2%, the status, the warnings or the undetermined combinations by anything.
 """
 

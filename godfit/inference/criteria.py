@@ -18,6 +18,6 @@ def aic(log_likelihood: float, parameters: int) -> float:
     return 2 * parameters - 2 * log_likelihood
 
 
-def bic(log_likelihood: float, parameters: int, values: float) -> float:
+def bic(log_likelihood: float, parameters: int, values: float | int) -> float:
     """Schwarz's criterion for so many independent ``values``; the least is best."""
     return parameters * math.log(values) - 2 * log_likelihood

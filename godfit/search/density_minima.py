@@ -121,7 +121,7 @@ def on_subset(problem: Problem, start: np.ndarray, report: Report) -> list[np.nd
 
     def same(a: Settled, b: Settled) -> bool:
         apart = abs(a.coordinates[along] - b.coordinates[along])
-        return apart <= DISTINGUISHED * width
+        return bool(apart <= DISTINGUISHED * width)
 
     return [c.coordinates for c in distinct(close, same, CANDIDATES)]
 

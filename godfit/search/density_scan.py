@@ -245,6 +245,6 @@ def _apart(points: list[Point], along: int, near: float) -> list[Point]:
     """Points, cheapest first, none of them within ``near`` of a cheaper one in ``along``."""
 
     def same(p: Point, q: Point) -> bool:
-        return abs(p.coordinates[along] - q.coordinates[along]) <= near
+        return bool(abs(p.coordinates[along] - q.coordinates[along]) <= near)
 
     return distinct(sorted(points, key=lambda p: p.cost), same)

@@ -138,9 +138,9 @@ def test_dark_canvas_says_what_is_not_known(files):
 def test_held_and_started(files, monkeypatch):
     begun, climb = [], multigrid.climb
 
-    def recorded(picture, model, starts, *rest):
+    def recorded(problem, starts, *rest, **options):
         begun.extend(starts)
-        return climb(picture, model, starts, *rest)
+        return climb(problem, starts, *rest, **options)
 
     monkeypatch.setattr(multigrid, "climb", recorded)
     result = fit(

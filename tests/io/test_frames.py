@@ -6,7 +6,7 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from godfit.commands.clip import name_of
+from godfit.commands.clip import common_name
 from godfit.errors import InputError
 from godfit.io.frames import frames, is_video
 from godfit.io.image import write_image
@@ -65,6 +65,6 @@ def test_without_the_package_a_video_says_what_it_needs(tmp_path, monkeypatch):
 
 
 def test_the_folder_is_named_by_what_the_frames_have_in_common():
-    assert name_of(("a/shot_01.png", "a/shot_02.png")) == "a/shot"
-    assert name_of(("a/01.png", "a/02.png")) == "a/clip"
-    assert name_of(("clip.mp4",)) == "clip.mp4"
+    assert common_name(("a/shot_01.png", "a/shot_02.png")) == "a/shot"
+    assert common_name(("a/01.png", "a/02.png")) == "a/clip"
+    assert common_name(("clip.mp4",)) == "clip.mp4"
