@@ -21,7 +21,7 @@ from stability_judges import SAMPLES, TRUTH, light_pass, mask_of
 from godfit import FitResult
 from godfit import fit as whole_fit
 from godfit.inference.settle import settle
-from godfit.runtime.cache import keep_compiled
+from godfit.runtime.cache import enable_jax_cache
 from godfit.search import multigrid
 
 KINDS = ("triangles", "ellipses", "clouds")
@@ -87,7 +87,7 @@ def main() -> None:
     parser.add_argument("--grid", type=int, default=11)
     parser.add_argument("--figure")
     options = parser.parse_args()
-    keep_compiled()
+    enable_jax_cache()
     found = {}
     for kind in KINDS:
         found[kind] = light, other = maps(kind, options.size, options.grid)

@@ -19,7 +19,7 @@ from PIL import Image
 from scipy import ndimage
 
 import godfit
-from godfit.runtime.cache import keep_compiled
+from godfit.runtime.cache import enable_jax_cache
 
 SAMPLES = 40
 # What a warning about each defect says.
@@ -119,7 +119,7 @@ def main() -> int:
     parser.add_argument("--size", type=int, default=128)
     parser.add_argument("--kinds", nargs="+", default=[*SAYS, "clean"])
     options = parser.parse_args()
-    keep_compiled()
+    enable_jax_cache()
     kept = True
     for kind in options.kinds:
         count = options.clean if kind == "clean" else options.targets

@@ -21,7 +21,7 @@ import numpy as np
 import scenes
 
 from godfit import FitResult, fit
-from godfit.runtime.cache import keep_compiled
+from godfit.runtime.cache import enable_jax_cache
 from godfit.studies.posterior import posterior, with_posterior
 from godfit.studies.profile_likelihood import profile
 
@@ -75,7 +75,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=128)
     parser.add_argument("--posteriors", type=int, default=8)
     options = parser.parse_args()
-    keep_compiled()
+    enable_jax_cache()
     first, last = map(int, options.seeds.split(":"))
     regular: list[Profiled] = []
     for name in PROFILED:

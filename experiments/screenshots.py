@@ -31,7 +31,7 @@ from screens import (  # pyright: ignore[reportMissingImports]
 )
 
 import godfit
-from godfit.runtime.cache import keep_compiled
+from godfit.runtime.cache import enable_jax_cache
 
 PHOTOGRAPH = "photograph"
 
@@ -41,7 +41,7 @@ def main() -> int:
     parser.add_argument("--kinds", nargs="+", default=[*BACKGROUNDS, PHOTOGRAPH, RAYLESS])
     parser.add_argument("--seeds", default="1000:1020")
     options = parser.parse_args()
-    keep_compiled()
+    enable_jax_cache()
     first, last = map(int, options.seeds.split(":"))
     for kind in options.kinds:
         if kind == RAYLESS:

@@ -19,7 +19,7 @@ import numpy as np
 from stability_cases import CASES, Case
 from stability_judges import Outcome
 
-from godfit.runtime.cache import keep_compiled
+from godfit.runtime.cache import enable_jax_cache
 
 
 def attempt(case: Case, size: int) -> Outcome:
@@ -37,7 +37,7 @@ def main() -> int:
     parser.add_argument("--only", default="")
     parser.add_argument("--figure")
     options = parser.parse_args()
-    keep_compiled()
+    enable_jax_cache()
     cases = [c for c in CASES if options.only in f"{c.failure} {c.name}"]
     table = []
     for case in cases:

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from godfit.runtime.numba_jit import fast_jit, inlined_jit
-from godfit.runtime.xla_ffi import asks_version, declare, made_known, matrix, result, vector
+from godfit.runtime.xla_ffi import answers_version_query, declare, matrix, register, result, vector
 
 # Rows and columns of a tile: an inner loop of a fixed length that fills the vector registers.
 HIGH, WIDE = 32, 64
@@ -261,7 +261,7 @@ def _group(mask, at, numbers, count, some, total):
 
 @inlined_jit
 def _picture(frame, real):
-    if not asks_version(frame):
+    if not answers_version_query(frame):
         mask, flat = matrix(frame, 0, real), matrix(frame, 1, real)
         whole = vector(frame, 3, np.int32)
         _rows(mask, flat, vector(frame, 2, real), whole[0], whole[1], result(frame, real))
@@ -270,7 +270,7 @@ def _picture(frame, real):
 
 @inlined_jit
 def _points(frame, real):
-    if not asks_version(frame):
+    if not answers_version_query(frame):
         mask, flat = matrix(frame, 0, real), matrix(frame, 1, real)
         at, numbers = matrix(frame, 2, real), vector(frame, 3, real)
         count = vector(frame, 4, np.int32)[0]
@@ -308,5 +308,5 @@ NAMES = declare(
 def target(kind: str, double: bool) -> str:
     """The name of a compiled function, which XLA knows from now on."""
     name = NAMES[kind, double]
-    made_known(name)
+    register(name)
     return name
