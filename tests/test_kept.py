@@ -162,7 +162,7 @@ def test_foreign_functions_are_known_by_name():
     from godfit.runtime import xla_ffi
     from godfit.scattering.radial import strips_kernel
 
-    assert xla_ffi.register(strips_kernel.NAMES["points", False])
+    assert xla_ffi.register(strips_kernel.STRIP_CALLS["points", False])
     assert not xla_ffi.register("nobody")
 
 

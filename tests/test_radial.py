@@ -141,12 +141,12 @@ def test_pairs_beyond_one_block(monkeypatch, block):
     at = jnp.asarray(AT[:5])
 
     def everything(light):
-        # Not the jitted one: its cache would not notice that BLOCK has changed.
+        # Not the jitted one: its cache would not notice that POINTS_PER_BLOCK has changed.
         whole = radial.radial_sum(mask, light, TAPS, method="pairs")
         return whole, radial.radial_sum(mask, light, TAPS, at=at, method="pairs")
 
     expected = everything(light), jax.jacfwd(everything)(light)
-    monkeypatch.setattr(pairs_module, "BLOCK", block)
+    monkeypatch.setattr(pairs_module, "POINTS_PER_BLOCK", block)
     actual = everything(light), jax.jacfwd(everything)(light)
     jax.tree.map(lambda a, e: agree(a, e, 1e-13), actual, expected)
 

@@ -132,9 +132,9 @@ def _load_ahead(kernels: bool, occasion: str) -> None:
     from godfit.runtime.program_cache import preload_programs
 
     if kernels:
-        from godfit.scattering.radial.exact import load_fastest
+        from godfit.scattering.radial.exact import compile_fastest
 
-        load_fastest()
+        compile_fastest()
     preload_programs(occasion)
     import matplotlib.backends.backend_agg
     import matplotlib.figure  # noqa: F401

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from godfit.runtime.numba_jit import jit
-from godfit.scattering.radial.strips_kernel import CELL, scattered
+from godfit.scattering.radial.strips_kernel import FLAT_CELL, point_sums
 
 
 @jit
@@ -15,16 +15,18 @@ def left(mask, at, numbers, counts, shows_own, target):
     leaves the least."""
     points = at.shape[1]
     # Points that are far apart ask for no flat cells.
-    flat = np.full((mask.shape[0] // CELL + 1, mask.shape[1] // CELL + 1), np.nan, mask.dtype)
+    flat = np.full(
+        (mask.shape[0] // FLAT_CELL + 1, mask.shape[1] // FLAT_CELL + 1), np.nan, mask.dtype
+    )
     rays, own = np.empty((1, 1, points), np.float32), np.zeros((1, 1, points), np.float32)
     if shows_own:
         # The sum with one tap at no distance.
         nearby = numbers[0].copy()
         nearby[2], nearby[3] = 1.0, 0.0
-        scattered(mask, flat, at, nearby, 1, own)
+        point_sums(mask, flat, at, nearby, 1, own)
     squares = np.empty(len(counts))
     for i in range(len(counts)):
-        scattered(mask, flat, at, numbers[i], counts[i], rays)
+        point_sums(mask, flat, at, numbers[i], counts[i], rays)
         aa = ab = bb = ay = by = 0.0
         for p in range(points):
             a, b, y = float(own[0, 0, p]), float(rays[0, 0, p]), target[p]

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from godfit.runtime.numba_jit import fast_jit, inlined_jit
 from godfit.runtime.xla_ffi import answers_version_query, declare, matrix, register, result, vector
-from godfit.scattering.radial.derivatives import Numbers
+from godfit.scattering.radial.derivatives import RayParameters
 
 # Points that are summed side by side; of how many more calls are made than one, and how many: XLA
 # shares them out among its threads if they are many.
@@ -45,7 +45,7 @@ class Lit(NamedTuple):
 def disc_pass(
     open_: Float[Array, "h w"],
     at: Float[Array, "2 n"],
-    numbers: Numbers,
+    numbers: RayParameters,
     shape: Float[Array, " 3"],
     count: int,
     cut: int,
