@@ -27,7 +27,7 @@ INTERRUPTED = 130
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="godfit")
 def cli() -> None:
-    """Read the parameters of god rays out of images."""
+    """Estimate the parameters of god rays from images."""
 
 
 for command in (fit, compare, select, simplify, render, mask, shaders):

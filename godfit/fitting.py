@@ -1,4 +1,4 @@
-"""The fit: screen, climb, settle on every pixel, and say what the answer is worth."""
+"""The one entry of a fit: which search it takes, and the verdict."""
 
 from __future__ import annotations
 
@@ -6,53 +6,39 @@ import dataclasses
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from godfit import request
+# These register how each model is searched for.
+import godfit.flatland.starts
+import godfit.search  # noqa: F401
 from godfit.blind import photograph, unaided
 from godfit.errors import InputError
-from godfit.flatland import inputs as plane
-from godfit.flatland.model import Flatland
-from godfit.flatland.starts import starts as starts_in_plane
-from godfit.inference import indirect_inference
+from godfit.flatland.canvas import Canvas
+from godfit.flatland.inputs import prepared
 from godfit.inference.fitted import Found
-from godfit.inference.information import evidence, undetermined
-from godfit.inference.observation import Picture
-from godfit.inference.problem import MAX_VALUES, checked_picture, given_and_held, pixels_used
-from godfit.inference.settle import settle
+from godfit.inference.problem import MAX_VALUES, Problem, checked_picture, given_and_held
+from godfit.inference.strategy import Effort, left_open, refined_mask, search
 from godfit.io.image import Image
 from godfit.io.sources import Source, occluder_mask, read_source
 from godfit.models.base import AbstractModel
-from godfit.models.build import daylight_template, mitchell_template, staged_template
-from godfit.models.hoffman_preetham import HoffmanPreetham
-from godfit.models.mitchell import Mitchell
-from godfit.models.staged import Staged
+from godfit.models.build import mitchell_template, staged_template, template
 from godfit.report.result import FitResult
 from godfit.report.verdict import verdict
+from godfit.request import Request
 from godfit.runtime.compile_time import compile_seconds
-from godfit.scenes.scene import Scene, read_scene
+from godfit.scenes.scene import Scene
 from godfit.scenes.view import (
     as_sky_mask,
     drawn_mask,
-    in_single_precision,
     light_on_screen,
-    resized,
     scene_at_pass_size,
 )
-from godfit.search import density_minima, multigrid, multistart, screening, screening_daylight
-from godfit.search.density_minima import likeliest
-from godfit.search.edge_pixels import agreed
-from godfit.search.placement import place
 
-STARTS = 6
-# Of them, those that a doubtful fit is tried from once more, each on its own.
-AGAIN = 3
-Say = Callable[[str], None]
 NOTHING = np.zeros((0, 0), np.float32)
+"""Stands for the values of an image of which only the file's name is still needed."""
 
 
 def fit(
@@ -60,7 +46,7 @@ def fit(
     *,
     mask: Source | None = None,
     scene: Scene | str | os.PathLike[str] | None = None,
-    canvas: plane.Source | None = None,
+    canvas: str | os.PathLike[str] | Canvas | None = None,
     model: str | None = None,
     free: Sequence[str] = (),
     background: Source | None = None,
@@ -91,7 +77,7 @@ def fit(
       integers are bytes (or 16-bit words), of floats linear values without rounding.
     - `mask`: the occlusion mask the scattering pass reads; linear, same aspect. A smaller one means
       a light pass at lower resolution. With neither mask nor scene nor canvas, the light is a disc
-      on a veil behind what is read off the target, see `godfit.blind.screenshot`.
+      on a veil behind occluders that are estimated from the target, see `godfit.blind`.
     - `scene`: in place of a mask, the scene (or its file) that the mask is drawn from. Its light is
       where the search starts; shader, samples and the like may stand in it.
     - `canvas`: in place of a mask, what is drawn in the plane: a `godfit.flatland.Canvas`, an image
@@ -132,261 +118,150 @@ def fit(
     **Returns:** a `FitResult`. Raises `InputError`, a ValueError of one line, for input that cannot
     be fitted.
     """
-    model = model or (Mitchell.name if canvas is None else Flatland.name)
-    request.check_model(model, free, shader, lights, fov, distance)
-    if model == Flatland.name:
-        plane.check(canvas, mask, scene, background, samples, pass_scale)
-    elif mask is not None and scene is not None:
-        raise InputError("fit: expected a mask or a scene, got both")
-    elif mask is None and scene is None:
-        request.check_unaided(model, lights, background, occluder, bright_pass)
-    elif canvas is not None or rays is not None:
-        raise InputError(f"canvas, rays: expected --model {Flatland.name} with them, got {model}")
-    if bright_pass and any(x is not None for x in (mask, scene, canvas)):
-        raise InputError("bright pass: expected no mask, scene or canvas with it, got one")
-    given = {"shader": shader, "samples": samples, "pass_scale": pass_scale}
-    given |= {"bright_pass": bright_pass or None}
     with jax.enable_x64(False):
-        # The program is one of float32, whatever the caller has set.
-        if scene is not None:
-            scene = in_single_precision(scene if isinstance(scene, Scene) else read_scene(scene))
-        settings = {} if scene is None else scene.settings
-        settings |= {k: v for k, v in given.items() if v is not None}
+        # The program computes in float32, whatever the caller has set.
+        request = Request(
+            target=target, mask=mask, scene=scene, canvas=canvas, model=model, free=tuple(free),
+            background=background, occluder=occluder, bright_pass=bright_pass, shader=shader,
+            samples=samples, rays=rays, lights=lights, pass_scale=pass_scale, fov=fov,
+            distance=distance, fix=fix, start=start, valid=valid, transfer=transfer,
+            channels=channels, inquire=inquire, max_values=max_values, seed=seed,
+            progress=progress,
+        ).checked()  # fmt: skip
         try:
-            return _fit(
-                target, mask, background, occluder, scene, (canvas, rays), model, tuple(free),
-                settings, lights, (fov, distance), fix or {}, start or {}, valid, transfer,
-                channels, inquire, max_values, seed, progress or (lambda text: None),
-            )  # fmt: skip
+            return _fit(request)
         except jax.errors.JaxRuntimeError as error:
             raise InputError.within(error) or error from error
 
 
-def _fit(
-    target: Source,
-    mask: Source | None,
-    background: Source | None,
-    occluder: Source | None,
-    scene: Scene | None,
-    drawn: tuple[plane.Source | None, int | None],
-    kind: str,
-    staged: tuple[str, ...],
-    settings: Mapping[str, Any],
-    lights: int,
-    geometry: tuple[float | None, float | np.ndarray | None],
-    fix: Mapping[str, float | None],
-    start: Mapping[str, float],
-    valid: np.ndarray | None,
-    transfer: str,
-    channels: int | None,
-    inquire: bool,
-    most: int,
-    seed: int,
-    say: Say,
-) -> FitResult:
-    began, compiled = time.perf_counter(), compile_seconds()
-    images = {"target": read_source(target, transfer)}
-    pass_scale, notes = settings.get("pass_scale", 1.0), ()
-    daylight = kind == HoffmanPreetham.name
-    if mask is None and scene is None and drawn[0] is None:
-        shading = mitchell_template(settings.get("shader", "mitchell"), settings.get("samples"), 1)
-        blocked = None
-        if occluder is not None:
-            images["occluder"] = read_source(occluder, "none")
-            blocked = occluder_mask(images["occluder"], images["target"])
-        given = (settings.get("pass_scale"), fix, start, seed, say)
-        if settings.get("bright_pass"):
-            found = photograph.found_in(images["target"], shading, valid, *given)
+class Clock(NamedTuple):
+    """When a fit began, and how many seconds the process had spent compiling by then."""
+
+    began: float
+    compiled: float
+
+    @staticmethod
+    def start() -> Clock:
+        return Clock(time.perf_counter(), compile_seconds())
+
+    def read(self) -> dict[str, float]:
+        """Seconds since then."""
+        compiled = compile_seconds() - self.compiled
+        return {"compile": compiled, "solve": time.perf_counter() - self.began}
+
+
+def _fit(request: Request) -> FitResult:
+    clock = Clock.start()
+    if request.bare:
+        found, notes, images = _fit_bare(request)
+        return _concluded(found, notes, images, clock)
+    posed = _pose(request)
+    problem = posed.problem
+    effort = Effort(request.inquire, request.max_values, request.report)
+    opened = left_open(problem.model, problem)
+    notes, always_open = posed.notes, ()
+    if opened is not None:
+        value = posed.given.get(opened.name, problem.model.defaults[opened.name])
+        problem = problem.holding(opened.name, value)
+        if opened.note:
+            notes += (opened.note.format(value),)
         else:
-            found, notes = unaided.found_in(images["target"], shading, valid, blocked, *given)
-        return _concluded(found, notes, images, (began, compiled), seed)
-    if scene is not None:
-        scene = scene_at_pass_size(scene, images["target"], pass_scale)
-        notes, pass_scale = tuple(f"scene: {note}" for note in scene.notes), 1.0
-        start = light_on_screen(scene) | dict(start)
+            partners = [problem.index(partner) for partner in opened.partners]
+            always_open = ((problem.index(opened.name), partners),)
+    if posed.scene is not None:
+        picture = refined_mask(problem.model, problem, posed.scene, posed.given, request.report)
+        problem = problem.replaced(picture=picture)
+    found = search(problem.model, problem, posed.given, effort)
+    found = found.replaced(opened=always_open + found.opened)
+    return _concluded(found, notes, posed.images, clock)
+
+
+def _fit_bare(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image]]:
+    """The fit of a picture that comes with nothing, notes, and the images by role."""
+    settings = request.settings
+    images = {"target": read_source(request.target, request.transfer)}
+    shading = mitchell_template(settings.get("shader", "mitchell"), settings.get("samples"), 1)
+    how = (
+        settings.get("pass_scale"), request.fix or {}, request.start or {}, request.seed,
+        request.report,
+    )  # fmt: skip
+    if request.bright_pass:
+        found = photograph.found_in(images["target"], shading, request.valid, *how)
+        return found, (), images
+    blocked = None
+    if request.occluder is not None:
+        images["occluder"] = read_source(request.occluder, "none")
+        blocked = occluder_mask(images["occluder"], images["target"])
+    found, notes = unaided.found_in(images["target"], shading, request.valid, blocked, *how)
+    return found, notes, images
+
+
+class Posed(NamedTuple):
+    """A problem ready to be solved: parameters ``given`` by name, notes, the images by role without
+    their values, and the scene that the mask was drawn from."""
+
+    problem: Problem
+    given: dict[str, float]
+    notes: tuple[str, ...]
+    images: dict[str, Image]
+    scene: Scene | None
+
+
+def _pose(request: Request) -> Posed:
+    """From what was asked to the problem to be solved. Raises InputError for images that do not go
+    together."""
+    settings, scene, notes = request.settings, request.scene, ()
+    images = {"target": read_source(request.target, request.transfer)}
+    pass_scale, start = settings.get("pass_scale", 1.0), dict(request.start or {})
     model: AbstractModel
-    picture = None
-    if kind == Flatland.name:
-        canvas, rays = drawn
-        assert canvas is not None
-        say("rays")
-        model, picture, images["canvas"] = plane.prepared(images["target"], canvas, rays, valid)
-    elif daylight:
-        model, assumed = daylight_template(scene, *geometry, settings.get("samples"))
-        notes += assumed
-    else:
-        model = mitchell_template(
-            settings.get("shader", "mitchell"), settings.get("samples"), lights
+    if request.canvas is not None:
+        request.report("rays")
+        model, picture, images["canvas"] = prepared(
+            images["target"], request.canvas, request.rays, request.valid
         )
-    if scene is not None:
-        smooth = scene.antialias is not False if daylight else scene.antialias or bool(staged)
-        shown = as_sky_mask(scene) if daylight else scene
-        images["mask"] = read_source(drawn_mask(shown, bool(smooth)), "none")
-        if staged:
-            assert isinstance(model, Mitchell)
-            model = staged_template(model, scene, staged)
+    else:
+        assert scene is None or isinstance(scene, Scene)
+        if scene is not None:
+            scene = scene_at_pass_size(scene, images["target"], pass_scale)
+            notes, pass_scale = tuple(f"scene: {note}" for note in scene.notes), 1.0
+            start = light_on_screen(scene) | start
+        geometry = scene, request.fov, request.distance
+        model, assumed = template(request.kind, settings, request.lights, geometry)
+        notes += assumed
+        if scene is not None:
+            images["mask"] = read_source(_mask_of(scene, model, bool(request.free)), "none")
+        else:
+            assert request.mask is not None
+            images["mask"] = read_source(request.mask, "none")
+        if request.free:
+            assert scene is not None
+            model = staged_template(model, scene, request.free)
             start = {name: value for name, value in start.items() if name in model.parameters}
-    elif picture is None:
-        assert mask is not None
-        images["mask"] = read_source(mask, "none")
-    if background is not None:
-        images["background"] = read_source(background, transfer)
-    if picture is None:
+        if request.background is not None:
+            images["background"] = read_source(request.background, request.transfer)
         picture = checked_picture(
-            images["target"], images["mask"], images.get("background"), valid, pass_scale,
-            channels or model.channels,
+            images["target"], images["mask"], images.get("background"), request.valid, pass_scale,
+            request.channels or model.channels,
         )  # fmt: skip
-    roles = {r: dataclasses.replace(im, values=NOTHING) for r, im in images.items()}
-    # What the picture does not need of them would stay in memory to the end.
-    del images, target, mask, background
-    given, held = given_and_held(model, fix, start)
-    used = model.used
-    free = np.isnan(held) & used
-    opened: list[tuple[int, list[int]]] = []
-    shows_itself = not isinstance(model, Mitchell | Staged) or model.convention.own_pixel
-    if not shows_itself and free[0] and free[3]:
-        # No pixel shows its own value: exposure and weight act only through their product.
-        held[0] = given.get("exposure", model.defaults["exposure"])
-        free[0] = False
-        opened.append((0, [3]))
-    if kind == Flatland.name and free[0] and not plane.emits(picture):
-        held[0], free[0] = given.get("exposure", model.defaults["exposure"]), False
-        notes += (f"the canvas sends out no light: exposure held at {held[0]:g}",)
-    if scene is not None and isinstance(model, Mitchell) and not scene.antialias:
-        say("edge pixels")
-        begun = _starts(picture, model, given, seed)
-        picture = agreed(picture, scene, model, begun, free, held, seed)
-    found = _look(picture, model, given, free, held, opened, inquire, most, seed, say)
-    return _concluded(found, notes, roles, (began, compiled), seed)
+    images = {role: dataclasses.replace(im, values=NOTHING) for role, im in images.items()}
+    given, held = given_and_held(model, request.fix or {}, start)
+    free = np.isnan(held) & model.used
+    assert scene is None or isinstance(scene, Scene)
+    return Posed(Problem(model, picture, free, held, request.seed), given, notes, images, scene)
+
+
+def _mask_of(scene: Scene, model: AbstractModel, moves: bool) -> np.ndarray:
+    """The mask that the model reads of a scene, anti-aliased where the scene says so, where it
+    ``moves``, and where the model averages it anyway."""
+    if model.mask_is_sky:
+        return drawn_mask(as_sky_mask(scene), scene.antialias is not False)
+    return drawn_mask(scene, bool(scene.antialias) or moves)
 
 
 def _concluded(
-    found: Found,
-    notes: tuple[str, ...],
-    images: dict[str, Image],
-    since: tuple[float, float],
-    seed: int,
+    found: Found, notes: tuple[str, ...], images: dict[str, Image], clock: Clock
 ) -> FitResult:
-    """The result, with what the images' files say of themselves; ``since`` is when, and with how
-    many seconds of compiling behind, the fit began."""
+    """The result, with what the images' files say of themselves."""
     notes += tuple(f"{role}: {note}" for role, im in images.items() for note in im.notes)
     files = {role: {"path": im.path, "sha256": im.sha256} for role, im in images.items()}
-    timing = {"compile": compile_seconds() - since[1], "solve": time.perf_counter() - since[0]}
-    return verdict(found, found.model.used, notes, files, timing, seed)
-
-
-def _look(
-    picture: Picture,
-    model: AbstractModel,
-    given: dict[str, float],
-    free: np.ndarray,
-    held: np.ndarray,
-    opened: list[tuple[int, list[int]]],
-    inquire: bool,
-    most: int,
-    seed: int,
-    say: Say,
-) -> Found:
-    """Screen, climb, settle."""
-    if isinstance(model, Staged):
-        return _look_on_stage(picture, model, given, free, held, opened, inquire, most, seed, say)
-    say("screening")
-    begun = _starts(picture, model, given, seed)
-    candidates = [begun[0]]
-    if free.any():
-        ladder = multigrid.SHARP if isinstance(model, Flatland) else multigrid.LADDER
-        climbed = multigrid.climb(picture.small, model, begun, free, held, seed, say, ladder)
-        candidates = [climbed.coordinates]
-    if free.any() and model.banded:
-        candidates = density_minima.on_subset(picture, model, candidates[0], free, held, seed, say)
-    seen = picture.observe(pixels_used(picture, seed, most))
-    say(f"all {len(seen.pixels):,} pixels")
-    settled, at, counted = likeliest(picture, model, candidates, seen, free, held, seed)
-    at = at.thinned(picture.repeats)
-    found = Found(model, picture, counted, settled, at, free, held, opened, inquire)
-    if inquire and free.any() and model.banded and multistart.doubtful(found):
-        found = multistart.again(found, begun[:AGAIN], seed, say)
-        say("mask or transfer read otherwise")
-        remedy = multistart.remedy(found, lambda read: _starts(read, model, given, seed), seed)
-        found = dataclasses.replace(found, remedy=remedy)
-    return (
-        indirect_inference.corrected(_hold_open(found, given))
-        if inquire
-        else _hold_open(found, given)
-    )
-
-
-def _starts(
-    picture: Picture, model: AbstractModel, given: dict[str, float], seed: int
-) -> list[np.ndarray]:
-    """Where the search begins, best first."""
-    if isinstance(model, HoffmanPreetham):
-        return screening_daylight.starts(picture.small, model, given, keep=STARTS, seed=seed)
-    if isinstance(model, Flatland):
-        return starts_in_plane(picture.small, model, given, keep=STARTS, seed=seed)
-    assert isinstance(model, Mitchell)
-    return screening.starts(picture.small, model, given, keep=STARTS, seed=seed)
-
-
-def _look_on_stage(
-    picture: Picture,
-    model: Staged,
-    given: dict[str, float],
-    free: np.ndarray,
-    held: np.ndarray,
-    opened: list[tuple[int, list[int]]],
-    inquire: bool,
-    most: int,
-    seed: int,
-    say: Say,
-) -> Found:
-    """The fit of a picture whose mask follows a scene: geometry on small copies, the scattering
-    through the mask that it draws, and then both together."""
-    z = place(picture, model, given, free, held, seed, say)
-    stage = model.moved(jnp.asarray(z), jnp.asarray(held))
-    drawn = np.asarray(drawn_mask(resized(stage.staged(), picture.mask.shape[:2]), True))
-    light = np.asarray(stage.light[0], np.float32)
-    flat = _look(
-        dataclasses.replace(picture, mask=drawn),
-        model.shading,
-        given | {"light_x": float(light[0]), "light_y": float(light[1])},
-        np.append(free[:4], [False, False]),
-        np.append(held[:4], light),
-        [],
-        inquire,
-        most,
-        seed,
-        say,
-    )
-    z = np.append(flat.settled.coordinates[:4], z[4:]).astype(np.float32)
-    say("scene and scattering")
-    settled, tangent = settle(z, model, flat.seen, free, held)
-    at = evidence(settled, tangent, flat.seen)
-    found = Found(model, picture, flat.seen, settled, at, free, held, opened, inquire)
-    return _hold_open(found, given)
-
-
-def _hold_open(found: Found, given: dict[str, float]) -> Found:
-    """Settle again with what the picture leaves open held, if there is such."""
-    model, free, coordinates = found.model, found.free.copy(), found.settled.coordinates.copy()
-    more = undetermined(
-        found.at.blunt,
-        model.ranges(coordinates),
-        free,
-        list(model.parameters).index(model.held_last),
-    )
-    if not more:
-        return found
-    free[[index for index, _ in more]] = False
-    if not free[0] and free[3] and "exposure" in model.parameters:
-        # Exposure has wandered on noise, and weight with it: back to what a user would expect.
-        default = model.defaults.get("exposure", coordinates[0])
-        coordinates[0] = given.get("exposure", default)
-    settled, tangent = settle(coordinates, model, found.seen, free, found.held)
-    return dataclasses.replace(
-        found,
-        settled=settled,
-        at=evidence(settled, tangent, found.seen).thinned(found.picture.repeats),
-        free=free,
-        opened=found.opened + more,
-    )
+    return verdict(found, notes, files, clock.read())

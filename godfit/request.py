@@ -1,37 +1,125 @@
-"""From what the user gives to what the fit works on, or one line that says why not."""
+"""What was asked of a fit, checked: every option in one frozen record."""
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from godfit.errors import InputError
+from godfit.flatland.canvas import Canvas
 from godfit.flatland.model import Flatland
+from godfit.inference.problem import MAX_VALUES
 from godfit.io.sources import Source
 from godfit.models.hoffman_preetham import HoffmanPreetham
 from godfit.models.mitchell import Mitchell
+from godfit.scenes.scene import Scene, read_scene
+from godfit.scenes.view import in_single_precision
 
 MODELS = (Mitchell.name, HoffmanPreetham.name, Flatland.name)
 
 
-def check_unaided(
-    model: str,
-    lights: int,
-    background: Source | None,
-    occluder: Source | None,
-    bright_pass: bool,
-) -> None:
-    """Raise InputError for what a fit without mask and scene does not do."""
-    if model != Mitchell.name:
-        raise InputError(f"mask: expected --mask or --scene with the model {model}, got neither")
-    if lights != 1:
-        raise InputError(f"lights: expected 1 without a mask, got {lights}; give --mask")
-    if background is not None:
-        raise InputError("background: expected none without a mask, got one; give --mask as well")
-    if bright_pass and occluder is not None:
-        raise InputError("occluder: expected none with --bright-pass, got one; give either")
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Request:
+    """The arguments of ``godfit.fit``, which explains each of them."""
+
+    target: Source
+    mask: Source | None = None
+    scene: Scene | str | os.PathLike[str] | None = None
+    canvas: str | os.PathLike[str] | Canvas | None = None
+    model: str | None = None
+    free: Sequence[str] = ()
+    background: Source | None = None
+    occluder: Source | None = None
+    bright_pass: bool = False
+    shader: str | None = None
+    samples: int | None = None
+    rays: int | None = None
+    lights: int = 1
+    pass_scale: float | None = None
+    fov: float | None = None
+    distance: float | np.ndarray | None = None
+    fix: Mapping[str, float | None] | None = None
+    start: Mapping[str, float] | None = None
+    valid: np.ndarray | None = None
+    transfer: str = "none"
+    channels: int | None = None
+    inquire: bool = True
+    max_values: int = MAX_VALUES
+    seed: int = 0
+    progress: Callable[[str], None] | None = None
+
+    @property
+    def bare(self) -> bool:
+        """Whether the picture comes with nothing that says what the light pass reads."""
+        return self.mask is None and self.scene is None and self.canvas is None
+
+    @property
+    def kind(self) -> str:
+        """The name of the model."""
+        return self.model or (Mitchell.name if self.canvas is None else Flatland.name)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings that were given here, or in the scene's file."""
+        scene = self.scene.settings if isinstance(self.scene, Scene) else {}
+        given = {"shader": self.shader, "samples": self.samples, "pass_scale": self.pass_scale}
+        return dict(scene) | {name: value for name, value in given.items() if value is not None}
+
+    def report(self, text: str) -> None:
+        """Say that a stage begins."""
+        if self.progress is not None:
+            self.progress(text)
+
+    def checked(self) -> Request:
+        """The request, with its scene loaded. Raises InputError for what does not go together."""
+        check_model(self.kind, self.free, self.shader, self.lights, self.fov, self.distance)
+        if self.kind == Flatland.name:
+            self._check_plane()
+        elif self.canvas is not None or (self.rays is not None and not self.bare):
+            raise InputError(
+                f"canvas, rays: expected --model {Flatland.name} with them, got {self.kind}"
+            )
+        elif self.mask is not None and self.scene is not None:
+            raise InputError("fit: expected a mask or a scene, got both")
+        elif self.mask is None and self.scene is None:
+            self._check_bare()
+        if self.bright_pass and not self.bare:
+            raise InputError("bright pass: expected no mask, scene or canvas with it, got one")
+        if self.scene is None:
+            return self
+        scene = self.scene if isinstance(self.scene, Scene) else read_scene(self.scene)
+        return dataclasses.replace(self, scene=in_single_precision(scene))
+
+    def _check_bare(self) -> None:
+        """Raise InputError for what a fit without mask and scene does not do."""
+        if self.kind != Mitchell.name:
+            raise InputError(
+                f"mask: expected --mask or --scene with the model {self.kind}, got neither"
+            )
+        if self.lights != 1:
+            raise InputError(f"lights: expected 1 without a mask, got {self.lights}; give --mask")
+        if self.background is not None:
+            raise InputError(
+                "background: expected none without a mask, got one; give --mask as well"
+            )
+        if self.bright_pass and self.occluder is not None:
+            raise InputError("occluder: expected none with --bright-pass, got one; give either")
+
+    def _check_plane(self) -> None:
+        """Raise InputError for what does not go with the light in the plane."""
+        name = Flatland.name
+        if self.canvas is None:
+            raise InputError(f"canvas: expected one with the model {name}, got none; give one")
+        for option in ("mask", "scene", "background", "samples", "pass_scale"):
+            if getattr(self, option) is not None:
+                raise InputError(
+                    f"{option}: expected none with the model {name}, got one; leave it out"
+                )
 
 
 def check_model(

@@ -68,7 +68,7 @@ COMPILED = (
     "godfit.flatland.cascade_kernel",
     "godfit.scattering.radial.strips_kernel",
     "godfit.runtime.xla_ffi",
-    "godfit.inference.sample_count_kernel",
+    "godfit.scattering.radial.spacings_kernel",
 )
 compiled = {name: importlib.import_module(name) for name in COMPILED}
 for name in [n for n in sys.modules if n.split(".")[0] == "godfit"]:
@@ -84,15 +84,22 @@ importlib.import_module("godfit.runtime.malloc").TRIM_AFTER_SECONDS = math.inf
 # one of these comes last, and half of the cores wait for it. The first two compile different
 # functions: what both need at once is compiled twice.
 LONG = (
-    "screenshot", "flatland_fit", "turns", "synthetic_fits", "photograph", "brightness", "staged",
-    "profile", "data_synthetic", "compare", "cache", "command_line", "indirect",
-    "flatland_gradients", "disc_pass", "flatland_published", "fit", "clear_rays", "flatland",
+    "blind/test_screenshot", "flatland/test_fitting", "blind/test_turns", "test_synthetic_fits",
+    "blind/test_photograph", "blind/test_brightness", "models/test_staged",
+    "studies/test_profile_likelihood", "test_data_synthetic", "studies/test_compare",
+    "runtime/test_cache", "commands/test_command_line", "inference/test_indirect_inference",
+    "flatland/test_gradients", "models/test_disc_kernel", "flatland/test_published",
+    "test_fitting", "blind/test_clear_rays", "flatland/test_rendering",
 )  # fmt: skip
 
 
 def pytest_collection_modifyitems(items):
-    place = {f"test_{name}": i for i, name in enumerate(LONG)}
-    items.sort(key=lambda item: place.get(item.path.stem, len(LONG)))
+    tests = Path(__file__).parent
+    place = {tests / f"{name}.py": i for i, name in enumerate(LONG)}
+    missing = [str(path) for path in place if not path.is_file()]
+    if missing:
+        raise pytest.UsageError(f"LONG: expected files of tests, got {', '.join(missing)}")
+    items.sort(key=lambda item: place.get(item.path, len(LONG)))
 
 
 # Bytes that a worker may hold.

@@ -1,12 +1,7 @@
 """The committed synthetic targets are what data_synthetic/make.py draws."""
 
-import importlib
-import importlib.util
 import json
-import sys
 import tomllib
-from pathlib import Path
-from unittest import mock
 
 import jax
 import jax.numpy as jnp
@@ -21,12 +16,9 @@ from godfit.models.mitchell import Mitchell
 from godfit.scenes.raster import on_screen
 from godfit.scenes.scene import read_scene
 from godfit.scenes.view import drawn_mask
+from tests.support.paths import DATA_SYNTHETIC as FOLDER
+from tests.support.synthetic import make, stages
 
-# What numba compiles cannot be wrapped by the hook of conftest.py.
-with mock.patch.object(sys, "meta_path", [f for f in sys.meta_path if not hasattr(f, "modules")]):
-    importlib.import_module("godfit.scenes.visibility")
-
-FOLDER = Path(__file__).parent.parent / "data_synthetic"
 MANIFEST = json.loads((FOLDER / "manifest.json").read_text())
 TARGETS, SCENES, CANVASES, SCREENS = (
     MANIFEST[key] for key in ("targets", "scenes", "canvases", "screenshots")
@@ -41,24 +33,7 @@ def _levels(path):
 
 
 @pytest.fixture(scope="module")
-def make():
-    spec = importlib.util.spec_from_file_location("data_synthetic_make", FOLDER / "make.py")
-    module = importlib.util.module_from_spec(spec)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(FOLDER)
-        spec.loader.exec_module(module)
-        yield module
-
-
-@pytest.fixture(scope="module")
-def stages(make):
-    import stages
-
-    return stages
-
-
-@pytest.fixture(scope="module")
-def made(make, tmp_path_factory):
+def made(tmp_path_factory):
     """All files made again. Masks and pictures of scenes and of canvases, which take long, are
     those that lie there: that they are what scene and canvas make is tested below, one by one."""
     folder = tmp_path_factory.mktemp("data_synthetic")
@@ -225,7 +200,7 @@ def test_icosahedron_moves_as_in_the_source():
         )
 
 
-def test_flight_is_closed_and_pursued(stages):
+def test_flight_is_closed_and_pursued():
     lap = stages.LAP
     path = np.array([stages.path(k) for k in range(lap + 1)])
     places, headings = stages.pursuit()
@@ -244,7 +219,7 @@ def test_flight_is_closed_and_pursued(stages):
     assert distance.max() < 2
 
 
-def test_flight_truth_is_where_they_are(stages):
+def test_flight_truth_is_where_they_are():
     for i in range(6):
         truth = SCENES[f"flight_{i}"]
         leader, pursuer = (truth["known"][f"object[{k}].position"] for k in (0, 5))
@@ -253,13 +228,13 @@ def test_flight_truth_is_where_they_are(stages):
 
 
 @pytest.mark.parametrize("turn", [(10, 20, 30), (-170, 60, 5), (20, 90, 0), (0, -90, 35)])
-def test_angles_are_those_of_the_matrix(stages, turn):
+def test_angles_are_those_of_the_matrix(turn):
     matrix = stages.matrix(turn)
     np.testing.assert_allclose(stages.matrix(stages.angles(matrix)), matrix, atol=1e-7)
 
 
 @pytest.mark.parametrize("end", [(0, 1, 0), (2, -1, 0.5), (-1, 0, 0), (0, 0, 3)])
-def test_strut_ends_where_it_should(stages, end):
+def test_strut_ends_where_it_should(end):
     part = stages.strut(0.1, (0, 0, 0), end)
     tip = part["position"] + stages.matrix(part["rotation"]) @ [0, part["height"] / 2, 0]
     np.testing.assert_allclose(tip, end, atol=1e-12)
@@ -287,7 +262,7 @@ def test_canvas_and_truth_give_the_target(made, name):
     np.testing.assert_array_equal(new, old)
 
 
-def test_animation_of_sand(make, tmp_path):
+def test_animation_of_sand(tmp_path):
     make.make_sand_gif(tmp_path / "x.gif", frames=4)
     with Image.open(tmp_path / "x.gif") as animation:
         assert animation.info["loop"] == 0
@@ -297,7 +272,7 @@ def test_animation_of_sand(make, tmp_path):
 
 
 @pytest.mark.parametrize("name", SEQUENCES)
-def test_animation(make, tmp_path, name):
+def test_animation(tmp_path, name):
     make.make_gif(tmp_path / "x.gif", name, frames=5)
     with Image.open(tmp_path / "x.gif") as animation:
         assert animation.info["loop"] == 0

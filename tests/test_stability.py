@@ -1,14 +1,10 @@
-"""Where methods fail: promises of experiments/stability.py, a seeded part of them at one size."""
-
-import sys
-from pathlib import Path
+"""Where methods fail: a seeded part of the promises of experiments/stability/stability.py, at one
+size."""
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
-import basins
-import stability
+from tests.support import basins, stability_cases
 
 pytestmark = pytest.mark.usefixtures("single_precision")
 # One of every promise, and what costs least of each.
@@ -19,14 +15,14 @@ NAMES = (
 
 
 def test_there_are_enough_rows():
-    names = [(case.failure, case.name) for case in stability.CASES]
+    names = [(case.failure, case.name) for case in stability_cases.CASES]
     assert len(names) == len(set(names)) >= 24
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_promise_is_kept(name):
-    (case,) = [c for c in stability.CASES if c.name == name]
-    kept, words = stability.attempt(case, 64)
+    (case,) = [c for c in stability_cases.CASES if c.name == name]
+    kept, words = stability_cases.attempt(case, 64)
     assert kept, words
 
 
@@ -34,7 +30,10 @@ def test_what_is_raised_breaks_a_promise():
     def fails(size):
         raise ValueError("no")
 
-    assert stability.attempt(stability.Case("", "", "", fails), 64) == (False, "ValueError: no")
+    assert stability_cases.attempt(stability_cases.Case("", "", "", fails), 64) == (
+        False,
+        "ValueError: no",
+    )
 
 
 def test_one_start_arrives_from_far_away():

@@ -1,13 +1,12 @@
 """The targets of data_synthetic through the command line, from the side files alone."""
 
 import json
-from pathlib import Path
 
 import pytest
 
 from godfit.__main__ import main
+from tests.support.paths import DATA_SYNTHETIC as FOLDER
 
-FOLDER = Path(__file__).parents[1] / "data_synthetic"
 MANIFEST = json.loads((FOLDER / "manifest.json").read_text())["targets"]
 TOLERANCE = {"decay": 5e-5, "density": 5e-4}
 

@@ -11,6 +11,7 @@ import numpy as np
 from godfit.inference.evaluate import predicted
 from godfit.inference.likelihood import log_likelihood
 from godfit.inference.observation import Observation
+from godfit.inference.problem import Problem
 from godfit.inference.solver import Point, solve
 from godfit.io.filters import over_channels
 from godfit.io.image import LEVELS
@@ -41,25 +42,21 @@ def likeliest(
     return list(best.values())
 
 
-def rough(
-    begun: list[dict[str, float]],
-    free: np.ndarray,
-    held: np.ndarray,
-    model: DiscLight,
-    seen: Observation,
-) -> list[Point]:
+def rough(begun: list[dict[str, float]], problem: Problem, seen: Observation) -> list[Point]:
     """Solved for what is ``free`` (p,), ``held`` (p,) where not NaN, from every start under every
     veil, cheapest first."""
+    model, held = problem.model, problem.held
+    assert isinstance(model, DiscLight)
 
     def from_start(begin: tuple[dict[str, float], float | None]) -> Point:
         start, veil = begin
         z = with_background(coordinates_of(start | _veiled(start, veil), model), held, model, seen)
         # Wide first: what is far off must not pass for foreign.
-        z = solve(z, free, held, model, seen, 4 * COARSE).coordinates
-        return solve(z, free, held, model, seen, COARSE)
+        z = solve(z, problem, seen, 4 * COARSE).coordinates
+        return solve(z, problem, seen, COARSE)
 
     def further(point: Point) -> Point:
-        return solve(point.coordinates, free, held, model, seen, COARSE)
+        return solve(point.coordinates, problem, seen, COARSE)
 
     points = parallel_map(from_start, itertools.product(begun, VEILS))
     points.sort(key=lambda p: p.cost)

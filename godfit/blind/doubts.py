@@ -10,10 +10,11 @@ from scipy import ndimage
 
 from godfit.inference.evaluate import predicted
 from godfit.inference.observation import Observation
-from godfit.inference.settle import Settled, Tangent
-from godfit.inference.solver import solve_tangent
+from godfit.inference.problem import Problem
+from godfit.inference.settle import Settled
+from godfit.inference.solver import Intervals, Tangent, solve_tangent
 from godfit.io.sources import shrink_mask
-from godfit.models.disc_light import DENSITY, DiscLight
+from godfit.models.disc_light import DENSITY
 
 
 def rivals(
@@ -30,23 +31,18 @@ def rivals(
 
 
 def shift(
-    settled: Settled,
-    tangent: Tangent,
-    model: DiscLight,
-    seen: Observation,
-    free: np.ndarray,
-    held: np.ndarray,
-    mask: np.ndarray,
+    settled: Settled, tangent: Tangent, problem: Problem, seen: Observation, mask: np.ndarray
 ) -> np.ndarray:
     """(p,) how far the answer moves where ``mask`` (h, w) is the right one, on the tangent."""
+    model, free, held = problem.model, problem.free, problem.held
     other = seen.with_mask(mask)
     prediction = np.asarray(predicted(settled.coordinates, held, model, other))
     lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
     # Where the other mask would make a pixel foreign it is not that mask that is right.
     sigma = max(settled.sigma, 0.5)
     point = solve_tangent(
-        settled.coordinates, free, model, tangent.scale, prediction, tangent.jacobian, lo, hi,
-        sigma, seen.foreign,
+        settled.coordinates, problem, tangent._replace(prediction=prediction),
+        Intervals(lo, hi, seen.foreign), sigma,
     )  # fmt: skip
     return np.where(free, point.coordinates - settled.coordinates, 0.0)
 

@@ -9,7 +9,7 @@ import functools
 import numpy as np
 
 from godfit.blind.turns import SOME, Read, Turns
-from godfit.inference.scan import DOUBT
+from godfit.inference.distinct import DOUBT
 from godfit.models.disc_light import EDGE, SOFT
 from godfit.runtime.parallel import parallel_map
 

@@ -17,6 +17,7 @@ from godfit.blind.screenshot import Reading, template
 from godfit.blind.turns import Read, Turns
 from godfit.inference.evaluate import coordinates_at
 from godfit.inference.observation import Picture
+from godfit.inference.problem import Problem
 from godfit.inference.solver import Point
 from godfit.io.filters import over_channels
 from godfit.io.image import LEVELS
@@ -98,7 +99,7 @@ def look(
     begun = screen_disc.starts(small, small.mask, TERMS[reading.degree], lights, seed, STARTS)
     seen = small.observe(small.informative(FEW, seed))
     begun += likeliest(_as_given(glare.starts(picture, seed), given), still, model, seen)
-    points = rough(begun, free, still, model, seen)
+    points = rough(begun, Problem(model, small, free, still, seed), seen)
     model = _with_taps(full, TAPS)
     still = _at_taps(fixed, full, model)
     masks = _reaching_into_glare(small)

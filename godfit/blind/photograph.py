@@ -22,12 +22,12 @@ from godfit.blind.screenshot import FOREIGN
 from godfit.blind.segment import grown
 from godfit.blind.unaided import DISAGREE, LEAST, blocks
 from godfit.errors import InputError
-from godfit.inference.evaluate import occlusion_of
+from godfit.inference.distinct import local_minima
+from godfit.inference.evaluate import occlusion_of, predictions
 from godfit.inference.fitted import Found
 from godfit.inference.information import evidence
 from godfit.inference.observation import Observation, Picture
-from godfit.inference.problem import given_and_held
-from godfit.inference.scan import bottoms, predictions
+from godfit.inference.problem import Problem, given_and_held
 from godfit.inference.settle import settle
 from godfit.inference.solver import Point, solve
 from godfit.io.image import LEVELS, Image
@@ -91,9 +91,9 @@ def found_in(
     say("votes for the light")
     begun = _begun(small, model, given, thresholds, seed)
     say(f"{len(begun)} starts")
-    points = _climbed(begun, free, held, model, small, seed)
+    points = _climbed(begun, Problem(model, small, free, held, seed))
     say("light and bright-pass in turn")
-    z, mask = _in_turn(points[0].coordinates, free, held, model, picture, scale, seed)
+    z, mask = _in_turn(points[0].coordinates, Problem(model, picture, free, held, seed), scale)
     picture = picture.with_mask(mask)
     model = _template(shading, picture.channels, FINER, least)
     more = (TERMS[FINER] - TERMS[DEGREE]) * picture.channels
@@ -103,19 +103,19 @@ def found_in(
     )
     seen = picture.observe(blocks(picture, seed))
     say(f"all of the {len(seen.pixels):,} pixels")
-    z = solve(z, free, held, model, seen, max(1.0, grain(picture))).coordinates
-    settled, tangent = settle(z, model, seen, free, held)
+    problem = Problem(model, picture, free, held, seed)
+    z = solve(z, problem, seen, max(1.0, grain(picture))).coordinates
+    settled, tangent = settle(z, problem, seen)
     at = evidence(settled, tangent, seen).within(model.ranges(settled.coordinates))
-    found = Found(model, picture, seen, settled, at, free, held, opened, False)
-    if free[DENSITY]:
-        found.shifts = (next_dip(settled, at.covariance(free), model.samples),)
+    shifts = (next_dip(settled, at.covariance(free), model.samples),) if free[DENSITY] else ()
     share = explained_of_cells(settled.coordinates, held, model, picture)
-    found.objection = "" if share > RAYS else NO_RAYS.format(100 * max(share, 0))
+    objection = "" if share > RAYS else NO_RAYS.format(100 * max(share, 0))
     lights = np.stack([p.coordinates[LIGHT_X : LIGHT_Y + 1] for p in points])
-    found.starts_agreed = first_look.agreed(lights, settled.coordinates[LIGHT_X : LIGHT_Y + 1])
-    if found.starts_agreed[0] < 2 <= found.starts_agreed[1]:
-        found.remarks = (DISAGREE.format(*found.starts_agreed),)
-    return found
+    agreed = first_look.agreed(lights, settled.coordinates[LIGHT_X : LIGHT_Y + 1])
+    remarks = (DISAGREE.format(*agreed),) if agreed[0] < 2 <= agreed[1] else ()
+    return Found(
+        problem, seen, settled, at, tuple(opened), False, remarks, objection, shifts, agreed
+    )
 
 
 def _read(target: Image, valid: np.ndarray | None) -> tuple[Picture, np.ndarray]:
@@ -174,22 +174,17 @@ def _begun(
     return begun
 
 
-def _climbed(
-    begun: list[np.ndarray],
-    free: np.ndarray,
-    held: np.ndarray,
-    model: BrightPass,
-    small: Picture,
-    seed: int,
-) -> list[Point]:
+def _climbed(begun: list[np.ndarray], problem: Problem) -> list[Point]:
     """Solved from every start, and further from the best, cheapest first."""
-    seen, texture = small.observe(small.informative(PIXELS, seed)), grain(small)
+    model, small, held = problem.model, problem.picture, problem.held
+    assert isinstance(model, BrightPass)
+    seen, texture = small.observe(small.informative(PIXELS, problem.seed)), grain(small)
 
     def climb(z: np.ndarray, sigmas: Sequence[float]) -> Point:
         *wide, last = (max(sigma, texture) for sigma in sigmas)
         for sigma in wide:
-            z = solve(z, free, held, model, seen, sigma).coordinates
-        return solve(z, free, held, model, seen, last)
+            z = solve(z, problem, seen, sigma).coordinates
+        return solve(z, problem, seen, last)
 
     def first(z: np.ndarray) -> Point:
         return climb(with_background(z, held, model, seen), SIGMAS[:1])
@@ -201,40 +196,29 @@ def _climbed(
     return sorted(parallel_map(further, points[:FOLLOWED]), key=lambda p: p.cost)
 
 
-def _in_turn(
-    z: np.ndarray,
-    free: np.ndarray,
-    held: np.ndarray,
-    model: BrightPass,
-    picture: Picture,
-    scale: float,
-    seed: int,
-) -> tuple[np.ndarray, np.ndarray]:
+def _in_turn(z: np.ndarray, problem: Problem, scale: float) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates (p,), and how bright the picture is without its rays, of the light pass's size:
     they are not among what the bright-pass is of."""
-    seen = picture.observe(picture.informative(PIXELS, seed))
+    model, picture, held = problem.model, problem.picture, problem.held
+    assert isinstance(model, BrightPass)
+    seen = picture.observe(picture.informative(PIXELS, problem.seed))
     mask, texture = shrink_mask(picture.mask, scale), grain(picture)
     for turn in range(TURNS):
         here = seen.with_mask(mask)
         for sigma in SIGMAS if turn == 0 else SIGMAS[-1:]:
-            z = solve(z, free, held, model, here, max(sigma, texture)).coordinates
-        if free[DENSITY] and turn in (0, TURNS - 1):
-            z = _densest(z, free, held, model, here, max(SIGMAS[-1], texture))
+            z = solve(z, problem, here, max(sigma, texture)).coordinates
+        if problem.free[DENSITY] and turn in (0, TURNS - 1):
+            z = _densest(z, problem, here, max(SIGMAS[-1], texture))
         light = np.asarray(_light_pass(on_device(z), held, model, on_device(mask), picture.size))
         mask = shrink_mask(_brightness(_unlit(model, picture.levels, light)), scale)
     return z, mask
 
 
-def _densest(
-    z: np.ndarray,
-    free: np.ndarray,
-    held: np.ndarray,
-    model: BrightPass,
-    seen: Observation,
-    sigma: float,
-) -> np.ndarray:
+def _densest(z: np.ndarray, problem: Problem, seen: Observation, sigma: float) -> np.ndarray:
     """Coordinates (p,) in the deepest dip of density: every tap leaves one, see ``dips.py``. Those
     that stand out with gain and background solved for are gone into, and then their neighbours."""
+    model, held = problem.model, problem.held
+    assert isinstance(model, BrightPass)
     dip = z[DENSITY] / model.samples
     line = np.arange(SPARSE, 1 + dip / TO_A_DIP, dip / TO_A_DIP).clip(max=1).astype(np.float32)
     points = np.tile(z, (len(line), 1))
@@ -254,13 +238,13 @@ def _densest(
     goal, light = alone((np.maximum(lo, 0) + hi) / 2), alone(levels[1:] - levels[:1])
     gain = (light @ goal) / np.maximum((light**2).sum(1), 1e-9)
     cost = np.abs(goal - gain[:, None] * light).sum(1)
-    deepest = bottoms(cost)
+    deepest = local_minima(cost)
     deepest = deepest[np.argsort(cost[deepest])][:DIPS]
     begun = points[deepest]
     begun[:, GAIN] *= gain[deepest].clip(min=0)
 
     def solved(start: np.ndarray) -> Point:
-        return solve(start, free, held, model, seen, sigma)
+        return solve(start, problem, seen, sigma)
 
     best = min(parallel_map(solved, [z, *begun]), key=lambda p: p.cost)
     near = np.tile(best.coordinates, (len(BESIDE), 1))

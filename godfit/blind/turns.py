@@ -12,7 +12,8 @@ from godfit.blind.occluders import asked, price
 from godfit.inference.evaluate import model_at, predicted
 from godfit.inference.likelihood import log_likelihood
 from godfit.inference.observation import Observation, Picture
-from godfit.inference.solver import Point, linearise, solve
+from godfit.inference.problem import Problem
+from godfit.inference.solver import Point, Stop, linearise, solve
 from godfit.io.filters import shrink
 from godfit.models.disc_light import DiscLight
 
@@ -73,6 +74,10 @@ class Turns:
     least: float = 1.0
 
     @property
+    def problem(self) -> Problem:
+        return Problem(self.model, self.picture, self.free, self.held, self.seed)
+
+    @property
     def noise(self) -> float:
         """Least noise allowed for, in levels: nothing explains texture, and what is off by as much
         is not foreign."""
@@ -82,9 +87,8 @@ class Turns:
         """One solve with so much noise allowed for."""
         sigma = max(sigma, self.texture)
         point = solve(
-            read.point.coordinates, self.free, self.held, self.model, read.seen, sigma,
-            rtol=RTOL, most=STEPS,
-        )  # fmt: skip
+            read.point.coordinates, self.problem, read.seen, sigma, stop=Stop(RTOL, STEPS)
+        )
         return read._replace(point=point)
 
     def descended(self, read: Read, sigma: float) -> Read:

@@ -26,7 +26,7 @@ from godfit.errors import InputError
 from godfit.inference.fitted import Found
 from godfit.inference.information import evidence
 from godfit.inference.observation import Observation, Picture
-from godfit.inference.problem import given_and_held
+from godfit.inference.problem import Problem, given_and_held
 from godfit.inference.settle import settle
 from godfit.inference.solver import Point
 from godfit.io.image import Image
@@ -160,27 +160,34 @@ def found_in(
         read, doubts = turns.solved(begin, NEAR[-1]), []
     point, mask, seen, free, held = read.point, read.mask, read.seen, turns.free, turns.held
     picture = picture.with_mask(mask)
-    settled, tangent = settle(point.coordinates, model, seen, free, held, rounds=rounds)
+    problem = Problem(model, picture, free, held, seed)
+    settled, tangent = settle(point.coordinates, problem, seen, rounds=rounds)
     at = evidence(settled, tangent, seen).within(model.ranges(settled.coordinates))
-    found = Found(model, picture, seen, settled, at, free, held, opened, False)
-    found.starts_agreed = first_look.agreed(
-        looked.lights, settled.coordinates[LIGHT_X : LIGHT_Y + 1]
-    )
+    agreed = first_look.agreed(looked.lights, settled.coordinates[LIGHT_X : LIGHT_Y + 1])
     remarks = []
     if free[GAIN] and free[VEIL] and out_of_sight(model, settled.coordinates, held, picture):
         opened.append((GAIN, [VEIL]))
-    if found.starts_agreed[0] < 2 and found.starts_agreed[1] > 1:
-        remarks.append(DISAGREE.format(*found.starts_agreed))
+    if agreed[0] < 2 and agreed[1] > 1:
+        remarks.append(DISAGREE.format(*agreed))
     if hidden(model, settled.coordinates, held, picture):
         remarks.append(HIDDEN)
     others = rivals(picture.mask, first, np.asarray(reading.picture.mask), pass_scale or 1.0)
-    shifts = parallel_map(
-        lambda other: shift(settled, tangent, model, seen, free, held, other), others
-    )
+    shifts = parallel_map(lambda other: shift(settled, tangent, problem, seen, other), others)
     shifts += [np.where(free, doubt, 0.0) for doubt in doubts]
     if free[DENSITY]:
         shifts.append(next_dip(settled, at.covariance(free), model.samples))
-    found = dataclasses.replace(found, remarks=tuple(remarks), objection=said, shifts=tuple(shifts))
+    found = Found(
+        problem,
+        seen,
+        settled,
+        at,
+        tuple(opened),
+        False,
+        tuple(remarks),
+        said,
+        tuple(shifts),
+        agreed,
+    )
     return found, notes
 
 

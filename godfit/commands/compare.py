@@ -21,14 +21,14 @@ from godfit.commands.study import (
 @click.command()
 @click.argument("target")
 @PICTURE
-@click.option("--light", metavar="U,V", help="Where the light is. [default: the scene's]")
+@click.option("--light", metavar="U,V", help="Position of the light. [default: the scene's]")
 @RESULT
 def compare(target: str, light: str | None, run: Run, **given: Any) -> int:
-    """Fit Mitchell's sum and Hoffman and Preetham's daylight to TARGET and say which it deserves.
+    """Compare Mitchell's sum with Hoffman and Preetham's daylight on TARGET.
 
-    Each is fitted with the light where it is given, if it is, and with the light free; with
-    --canvas the light in the plane as well. The table goes to stdout, compare.json and compare.png
-    to x.godfit/. Exit status 3 if none converged.
+    Each model is fitted with the light free and, if its position is given, with the light held
+    there. With --canvas the light in the plane is fitted as well. The table goes to stdout,
+    compare.json and compare.png to x.godfit/. The exit status is 3 if no model converged.
     """
     place = None if light is None else pair(light)
     study = opened(target, given, run.output)

@@ -30,24 +30,39 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("target", nargs=-1, required=True)
 @PICTURE
-@click.option("--occluder", help="Without a mask: what stands in the way, where not black.")
+@click.option(
+    "--occluder", help="Without a mask: an image that is not black where further objects are."
+)
 @BRIGHT_PASS
 @click.option("--model", help="mitchell, hoffman-preetham or flatland. [default: mitchell]")
-@click.option("--free", multiple=True, metavar="NAME", help="Fit this of the scene as well.")
+@click.option(
+    "--free", multiple=True, metavar="NAME", help="Fit this quantity of the scene as well."
+)
 @click.option("--lights", type=int, help="Number of lights. [default: 1]")
 @click.option(
-    "--fix", multiple=True, metavar="NAME[=VALUE]", callback=assignments, help="Hold a parameter."
+    "--fix",
+    multiple=True,
+    metavar="NAME[=VALUE]",
+    callback=assignments,
+    help="Hold a parameter fixed.",
 )
 @click.option(
     "--start",
     multiple=True,
     metavar="NAME=VALUE",
     callback=assignments,
-    help="Start a parameter here.",
+    help="Start the search of a parameter at a value.",
 )
-@click.option("--every", type=click.IntRange(1), help="Every so many-th frame of a clip.")
-@click.option("--profile", multiple=True, metavar="NAME", help="95% interval of the likelihood.")
-@click.option("--posterior", is_flag=True, help="95% intervals of the posterior (blackjax).")
+@click.option("--every", type=click.IntRange(1), help="Use every N-th frame of a clip.")
+@click.option(
+    "--profile",
+    multiple=True,
+    metavar="NAME",
+    help="Add the 95% interval of the profile likelihood.",
+)
+@click.option(
+    "--posterior", is_flag=True, help="Add 95% intervals of the posterior (needs blackjax)."
+)
 @RESULT
 def fit(
     target: tuple[str, ...],
@@ -59,17 +74,17 @@ def fit(
 ) -> int:
     """Fit exposure, decay, density, weight and the light's position to TARGET.
 
-    A TARGET x.png with an x.toml beside it takes its mask or scene, shader and samples from there;
-    options override it. The result goes to x.godfit/: fit.json, fit.png, render.png.
+    If x.toml lies beside a TARGET x.png, mask or scene, shader and samples are taken from it.
+    Options override them. The result goes to x.godfit/: fit.json, fit.png, render.png.
 
-    With neither a mask nor a scene TARGET is a finished picture: background, objects in the way,
-    panels on top and the light's disc are estimated from it, and fitted together; with
-    --bright-pass the light is all that is bright in it, as in a photograph. Several TARGETs, or a
-    video, are frames of one clip: one shader for all of them, a light for each.
+    Without a mask and a scene, TARGET is taken for a finished picture. Background, occluders,
+    panels and the light's disc are then estimated and fitted together. With --bright-pass the light
+    is everything bright in the picture, as in a photograph. Several TARGETs, or a video, are frames
+    of one clip, with one shader for all frames and a light for each.
 
-    With --scene the mask is drawn from meshes. --free light.position (or light.radius,
-    camera.position, object[0].position, object[0].rotation, ...) fits that as well. With --canvas
-    the sun, the sky and the exposure of light in the plane are fitted.
+    With --scene the mask is drawn from meshes. --free light.position fits that position as well.
+    Other names are light.radius, camera.position, object[0].position and object[0].rotation. With
+    --canvas the sun, the sky and the exposure of light in the plane are fitted.
     """
     first, *more = target
     if more or is_video(first):
@@ -82,9 +97,8 @@ def fit(
     if (profile or posterior) and not {"mask", "scene", "canvas"} & study.options.keys():
         wanted = f"--profile {profile[0]}" if profile else "--posterior"
         raise click.UsageError(f"{wanted}: expected --mask, --scene or --canvas with it, got none")
-    free = study.options["free"]
-    if free and "scene" not in study.options:
-        raise click.UsageError(f"--free {free[0]}: expected --scene SCENE.toml with it, got a mask")
+    for name in study.options["free"] if "scene" not in study.options else ():
+        raise click.UsageError(f"--free {name}: expected --scene SCENE.toml with it, got a mask")
     with working(run) as progress:
         from godfit.fitting import fit
         from godfit.studies.posterior import require

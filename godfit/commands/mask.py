@@ -16,13 +16,20 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("scene", required=False)
-@click.option("--from-image", "target", metavar="TARGET", help="Estimate it from this picture.")
 @click.option(
-    "--hard", is_flag=True, help="Pixel centres only, as WebGL draws without multisampling."
+    "--from-image", "target", metavar="TARGET", help="Estimate the mask from this picture."
+)
+@click.option(
+    "--hard", is_flag=True, help="No anti-aliasing, as WebGL draws without multisampling."
 )
 @BRIGHT_PASS
 @SHADER
-@click.option("--ignore", multiple=True, metavar="X,Y,W,H|IMAGE", help="Pixels to look away from.")
+@click.option(
+    "--ignore",
+    multiple=True,
+    metavar="X,Y,W,H|IMAGE",
+    help="Pixels to leave out: a rectangle, or wherever an image is not black.",
+)
 @with_run(
     click.option(
         "-o", "--output", required=True, help="Image to write: .png or .npy (linear floats)."
@@ -30,8 +37,11 @@ if TYPE_CHECKING:
     QUIET,
 )
 def mask(scene: str | None, target: str | None, hard: bool, run: Run, **options: Any) -> int:
-    """Draw the occlusion mask of SCENE.toml, anti-aliased; or, with --from-image, write the mask
-    that a picture without one seems to have, to be touched up."""
+    """Draw the occlusion mask of SCENE.toml, or estimate that of a finished picture.
+
+    The mask of a scene is anti-aliased. With --from-image the mask is estimated from TARGET, as
+    `godfit fit` does without a mask; edit it and give it to `godfit fit --mask`.
+    """
     from godfit.io.image import write_image
 
     if (scene is None) == (target is None):

@@ -34,26 +34,29 @@ BRIGHT_PASS = click.option(
     "--bright-pass",
     is_flag=True,
     default=None,
-    help="Without a mask: the light is all that is bright, as in a photograph.",
+    help="Without a mask: the light is all that is bright in the picture, as in a photograph.",
 )
 # What a picture is made of.
 PICTURE = together(
     click.option("--mask", help="Occlusion mask that the scattering pass reads."),
     click.option("--scene", help="Scene file: mask, camera, distances and light."),
-    click.option("--canvas", help="What is drawn in the plane: RGBA, or a .toml of shapes."),
-    click.option("--background", help="Ordinary pass that the light was laid on."),
+    click.option("--canvas", help="Flatland: the canvas, an RGBA image or a .toml of shapes."),
+    click.option("--background", help="Ordinary pass that the light pass was blended with."),
     SHADER,
-    click.option("--rays", type=int, help="Of the light in the plane, a pixel. [default: 64]"),
-    click.option("--pass-scale", type=float, help="Size of the light pass against the mask's."),
+    click.option("--rays", type=int, help="Flatland: rays a pixel. [default: 64]"),
     click.option(
-        "--transfer", type=click.Choice(["none", "srgb"]), help="How the target was encoded."
+        "--pass-scale", type=float, help="Size of the light pass relative to the mask, at most 1."
     ),
+    click.option("--transfer", type=click.Choice(["none", "srgb"]), help="Encoding of the target."),
     click.option("--fov", type=float, help="Vertical field of view in degrees, without a scene."),
     click.option(
-        "--distance", type=float, help="How far what is seen lies; with a scene, the sky."
+        "--distance", type=float, help="Distance of visible surfaces; with a scene, of the sky."
     ),
     click.option(
-        "--ignore", multiple=True, metavar="X,Y,W,H|IMAGE", help="Pixels to look away from."
+        "--ignore",
+        multiple=True,
+        metavar="X,Y,W,H|IMAGE",
+        help="Pixels to leave out: a rectangle, or wherever an image is not black.",
     ),
 )
 
@@ -84,14 +87,14 @@ def with_run(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 JSON = click.option(
-    "--json", "as_json", is_flag=True, help="Print JSON, and nothing else, to stdout."
+    "--json", "as_json", is_flag=True, help="Print JSON to stdout, and nothing else."
 )
-QUIET = click.option("-q", "--quiet", is_flag=True, help="No progress, no warnings.")
-VERBOSE = click.option("-v", "--verbose", is_flag=True, help="A line for every stage.")
+QUIET = click.option("-q", "--quiet", is_flag=True, help="Print no progress and no warnings.")
+VERBOSE = click.option("-v", "--verbose", is_flag=True, help="Print a line for every stage.")
 RESULT = with_run(
     click.option("-o", "--output", metavar="DIR", help="Result folder. [default: TARGET.godfit]"),
     JSON,
-    click.option("--seed", type=int, default=0, help="Seed of the choice of pixels."),
+    click.option("--seed", type=int, default=0, help="Seed of the random choice of pixels."),
     QUIET,
     VERBOSE,
 )

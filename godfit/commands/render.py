@@ -29,20 +29,24 @@ VALUES = ("exposure", "decay", "density", "weight", "e_sun", "scale", "turbidity
 @click.option("--model", help="mitchell, hoffman-preetham, volume or flatland. [default: mitchell]")
 @click.option("--params", metavar="FIT.JSON", help="Take shader and parameters from a fit.")
 @SHADER
-@click.option("--exposure", type=float)
-@click.option("--decay", type=float)
-@click.option("--density", type=float)
-@click.option("--weight", type=float)
+@click.option("--exposure", type=float, help="Scale of the whole light pass.")
+@click.option("--decay", type=float, help="Weight of each tap relative to the one before it.")
+@click.option("--density", type=float, help="Share of the way to the light that taps reach.")
+@click.option("--weight", type=float, help="Weight of the taps against the pixel's own value.")
 @click.option("--e-sun", type=float, help="The sun's irradiance, or a lamp's intensity.")
 @click.option("--scale", type=float, help="Metres of air that a unit of distance stands for.")
 @click.option("--turbidity", type=float, help="Haze: 2 clear, 6 hazy. [default: 2]")
 @click.option("--g", type=float, help="Mean cosine of the haze's scattering. [default: .76]")
-@click.option("--phase", help="normalised or published. [default: normalised]")
+@click.option("--phase", help="Phase function: normalised or published. [default: normalised]")
 @click.option("--fov", type=float, help="Vertical field of view in degrees, without a scene.")
-@click.option("--distance", type=float, help="How far what is seen lies; with a scene, the sky.")
-@click.option("--source", default="sun", help="Of a volume: sun or lamp. [default: sun]")
-@click.option("--steps", type=int, help="Of a volume's rays, or of a march. [default: 128]")
-@click.option("--rays", type=int, help="Flatland: rays of a pixel. [default: 64]")
+@click.option(
+    "--distance", type=float, help="Distance of visible surfaces; with a scene, of the sky."
+)
+@click.option("--source", default="sun", help="Volume: sun or lamp. [default: sun]")
+@click.option(
+    "--steps", type=int, help="Volume, flatland: steps of a ray. [default: 128 for a volume]"
+)
+@click.option("--rays", type=int, help="Flatland: rays a pixel. [default: 64]")
 @click.option("--method", help="Flatland: distance, march or cascades. [default: distance]")
 @click.option("--sun-angle", type=float, help="Flatland: degrees from the right. [default: 120]")
 @click.option("--sun-width", type=float, help="Flatland: degrees to either side. [default: 60]")
@@ -50,15 +54,24 @@ VALUES = ("exposure", "decay", "density", "weight", "e_sun", "scale", "turbidity
 @click.option("--sky", metavar="R,G,B", help="Flatland: the sky's radiance. [default: .02,.08,.2]")
 @click.option("--jitter", is_flag=True, help="Flatland: every pixel turns its rays; see --seed.")
 @click.option("--grain", type=float, help="Flatland: standard deviation of noise laid on.")
-@click.option("--seed", type=int, help="Flatland: of jitter and grain. [default: 0]")
+@click.option("--seed", type=int, help="Flatland: seed of jitter and grain. [default: 0]")
 @click.option("--published", is_flag=True, help="Flatland: as the article's shaders have it.")
-@click.option("--light", multiple=True, metavar="U,V", help="Light; repeat for several.")
-@click.option("--background", help="Ordinary pass to lay the light on.")
-@click.option("--size", metavar="WxH", help="Size of the image. [default: the mask's]")
-@click.option("--pass-scale", type=float, default=1.0, help="Size of the light pass to the mask's.")
-@click.option("--transfer", type=click.Choice(["none", "srgb"]), default="none")
 @click.option(
-    "--bits", type=click.Choice(["8", "16"]), default="8", help="Bits of a PNG's channel."
+    "--light", multiple=True, metavar="U,V", help="Position of a light; repeat for several."
+)
+@click.option("--background", help="Ordinary pass to blend the light pass with.")
+@click.option("--size", metavar="WxH", help="Size of the image. [default: the mask's]")
+@click.option(
+    "--pass-scale",
+    type=float,
+    default=1.0,
+    help="Size of the light pass relative to the mask, at most 1.",
+)
+@click.option(
+    "--transfer", type=click.Choice(["none", "srgb"]), default="none", help="Encoding of the image."
+)
+@click.option(
+    "--bits", type=click.Choice(["8", "16"]), default="8", help="Bits of each channel of a PNG."
 )
 @click.option(
     "--tolerance",
@@ -67,12 +80,12 @@ VALUES = ("exposure", "decay", "density", "weight", "e_sun", "scale", "turbidity
     help="Largest error, in 8-bit levels, that a faster method may make. [default: exact]",
 )
 def render(mask: str, output: str, transfer: str, bits: str, **options: Any) -> int:
-    """Render the light of MASK, or of the scene SCENE.toml, with the given parameters or the
-    shader's defaults.
+    """Render a mask or a scene with given parameters.
 
-    --model hoffman-preetham takes a mask that is 1 where the sky is seen; --model volume marches
-    through the air of a SCENE.toml. Both need --e-sun and --scale. --model flatland takes a canvas:
-    RGBA (colour emits, alpha hides, black and opaque throws shadows) or a .toml of shapes.
+    Parameters that are not given are the shader's defaults. --model hoffman-preetham takes a mask
+    that is 1 where the sky is visible; --model volume marches through the air of a SCENE.toml. Both
+    need --e-sun and --scale. --model flatland takes a canvas, an RGBA image or a .toml of shapes.
+    Its colour is emitted light and its alpha is opacity, so that black and opaque throws shadows.
     """
     from godfit.io.image import write_image
     from godfit.report.record import read_params

@@ -24,14 +24,14 @@ from godfit.commands.study import (
 @click.option(
     "--light",
     metavar="U,V",
-    help="Where the light is before it is fitted. [default: the scene's, or the middle]",
+    help="Position of the light on rungs that hold it. [default: the scene's, or the middle]",
 )
 @RESULT
 def select(target: str, light: str | None, run: Run, **given: Any) -> int:
-    """The smallest model that explains TARGET: from a constant veil to two coloured lights.
+    """Find the smallest model that explains TARGET, from a constant veil to two coloured lights.
 
-    Rungs whose light is not fitted have it at --light. The table goes to stdout, select.json and
-    select.png to x.godfit/. Exit status 3 if no rung leaves only noise.
+    Rungs that do not fit the light hold it at --light. The table goes to stdout, select.json and
+    select.png to x.godfit/. The exit status is 3 if no rung leaves only noise.
     """
     place = None if light is None else pair(light)
     study = opened(target, given, run.output)

@@ -23,17 +23,17 @@ from godfit.commands.study import say, working
     "--by",
     type=click.Choice(["worst", "rms"]),
     default="worst",
-    help="Error of the worst pixel, or in the mean square. [default: worst]",
+    help="Measure of the error: worst pixel, or root mean square. [default: worst]",
 )
-@click.option("--mask", help="Occlusion mask. [default: that of the fit]")
+@click.option("--mask", help="Occlusion mask. [default: the fit's]")
 @click.option("--scene", help="Scene file to draw the mask from.")
-@click.option("--background", help="Ordinary pass. [default: that of the fit]")
+@click.option("--background", help="Ordinary pass. [default: the fit's]")
 @with_run(JSON, QUIET, VERBOSE)
 def simplify(fit_json: str, tolerance: float, by: str, run: Run, **files: Any) -> int:
-    """The fewest samples and the smallest light pass that show the picture of FIT.JSON.
+    """Find the fewest samples and the smallest light pass that reproduce the picture of FIT.JSON.
 
-    Decay, density and weight are rescaled to go with them. Every pixel is compared with the render
-    at the fit's own samples; the result is printed, ready to paste into the shader.
+    Decay, density and weight are rescaled to match. Every pixel is compared with the render at the
+    fit's own samples. The printed result can be pasted into the shader.
     """
     with working(run) as progress:
         from godfit.report.record import recorded

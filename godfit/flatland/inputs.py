@@ -30,21 +30,6 @@ OPTIONS = ("rays", "method", "steps", "jitter", "grain", "seed", "published")
 Source = str | os.PathLike[str] | Canvas
 
 
-def check(canvas, mask, scene, background, samples, pass_scale) -> None:
-    """Raise InputError for what does not go with the light in the plane."""
-    if canvas is None:
-        raise InputError(f"canvas: expected one with the model {Flatland.name}, got none; give one")
-    others = {
-        "mask": mask, "scene": scene, "background": background, "samples": samples,
-        "pass_scale": pass_scale,
-    }  # fmt: skip
-    for name, value in others.items():
-        if value is not None:
-            raise InputError(
-                f"{name}: expected none with the model {Flatland.name}, got one; leave it out"
-            )
-
-
 def prepared(
     target: Image, source: Source, rays: int | None, valid: np.ndarray | None
 ) -> tuple[Flatland, Picture, Image]:
@@ -75,11 +60,6 @@ def prepared(
     picture = Picture.make(target, record.values, None, valid, 3)
     picture = dataclasses.replace(picture, mask=basis(made, rays))
     return Flatland(1.0, Sky(), rays), picture, record
-
-
-def emits(picture: Picture) -> bool:
-    """Whether the canvas itself sends out light, by which alone the exposure is known."""
-    return bool((picture.mask[..., :3] > 0).any())
 
 
 def rendered(path: str, given: Mapping[str, Any]) -> np.ndarray:

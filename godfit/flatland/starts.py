@@ -10,6 +10,8 @@ import numpy as np
 from godfit.flatland.model import PARAMETERS, Flatland
 from godfit.flatland.sky import Sky
 from godfit.inference.observation import Picture
+from godfit.inference.problem import Problem
+from godfit.inference.strategy import Open, Stage, left_open, stages, starts, trading
 from godfit.io.image import LEVELS, decode
 
 PIXELS = 600
@@ -29,8 +31,9 @@ def _lobes(angles, widths, rays: int):
     return eqx.filter_vmap(one)(angles, widths)
 
 
-def starts(
-    picture: Picture, model: Flatland, given: dict[str, float], *, keep: int, seed: int
+@starts.register
+def plane_starts(
+    model: Flatland, picture: Picture, given: dict[str, float], *, keep: int, seed: int
 ) -> list[np.ndarray]:
     """The ``keep`` best starting points in the model's coordinates, best first."""
     pixels = picture.informative(PIXELS, seed)
@@ -64,6 +67,30 @@ def starts(
         )
         for z in kept
     ]
+
+
+@stages.register
+def _(model: Flatland) -> tuple[Stage, ...]:
+    """Starts are good enough: nothing is blurred."""
+    return (Stage(0.0, 1, 1.0),)
+
+
+@trading.register
+def _(model: Flatland) -> tuple[str, ...]:
+    return "exposure", "sun_angle"
+
+
+@left_open.register
+def _(model: Flatland, problem: Problem) -> Open | None:
+    """The exposure is known by the canvas's own light alone."""
+    if not problem.is_free("exposure") or emits(problem.picture):
+        return None
+    return Open("exposure", note="the canvas sends out no light: exposure held at {:g}")
+
+
+def emits(picture: Picture) -> bool:
+    """Whether the canvas itself sends out light."""
+    return bool((picture.mask[..., :3] > 0).any())
 
 
 def _solved(own, by_sun, open_, target, given) -> tuple[np.ndarray, float]:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import ndimage
 
 from godfit.inference.observation import Picture, render
-from godfit.inference.settle import Tangent
+from godfit.inference.solver import Tangent
 from godfit.io.filters import shrink
 from godfit.io.image import LEVELS, decode
 from godfit.io.jpeg import was_jpeg

@@ -3,20 +3,33 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from godfit.inference.evaluate import model_at
 from godfit.models.base import AbstractModel, Vector
 from godfit.runtime.program_cache import cached_jit
 
-if TYPE_CHECKING:
-    pass
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """A parameter's value; ``stderr`` is None where it is fixed or cannot be known. ``interval``
+    is the 95% interval of its profile likelihood, ``posterior`` the middle 95% of the posterior,
+    where these were asked for."""
+
+    value: float
+    stderr: float | None
+    fixed: bool = False
+    at_bound: bool = False
+    interval: tuple[float, float] | None = None
+    posterior: tuple[float, float] | None = None
 
 
-class Told(NamedTuple):
+class Estimates(NamedTuple):
     """The ``model`` at its parameters, these with their errors, their product
     (``combined``), ``covariance`` (p, p) of the parameters (NaN where not known), what is
     ``undetermined`` in words, and ``held`` (p,), NaN where free."""
@@ -29,24 +42,29 @@ class Told(NamedTuple):
     held: np.ndarray
 
 
-def estimates(
-    model: AbstractModel,
-    coordinates: np.ndarray,
-    spread: np.ndarray,
-    free: np.ndarray,
-    held: np.ndarray,
-    open_: list[tuple[int, list[int]]],
-    used: np.ndarray,
-) -> Told:
-    """Parameters from ``coordinates`` (p,) whose covariance is ``spread`` (p, p); the rest as in
-    ``Found``. ``used`` (p,) are those to be told of."""
+class Solution(NamedTuple):
+    """Coordinates (p,) with their covariance (p, p), zero for those that are not free; ``free``
+    and ``held`` as in ``Problem``, ``opened`` as in ``Found``."""
+
+    coordinates: np.ndarray
+    covariance: np.ndarray
+    free: np.ndarray
+    held: np.ndarray
+    opened: Sequence[tuple[int, list[int]]]
+
+
+def estimates(model: AbstractModel, solution: Solution, used: np.ndarray) -> Estimates:
+    """The parameters of ``model`` at a ``solution``; only those in ``used`` (p,) are reported."""
+    coordinates, spread, free, held, open_ = solution
     names = list(model.parameters)
     opened = [i for i, _ in open_]
     z = np.where(np.isnan(held), coordinates, held)
     z = np.where(np.isin(np.arange(len(names)), opened), z, coordinates)
     # An open parameter is held only for want of better: what it would move is not known either.
     loose = np.where(np.isin(np.arange(len(names)), opened), np.nan, held).astype(np.float32)
-    fitted, values, by_coordinate = _parameters(model, z.astype(np.float32), loose)
+    z = z.astype(np.float32)
+    fitted = model_at(z, loose, model)
+    values, by_coordinate = _parameters(model, z, loose)
     values, by_coordinate = np.asarray(values), np.asarray(by_coordinate, np.float64)
     covariance = by_coordinate @ spread @ by_coordinate.T
     combined = _combined(model.product, names, opened, values, covariance)
@@ -70,7 +88,9 @@ def estimates(
         if used[i]
     }
     undetermined = _sentences(open_, names, values, combined)
-    return Told(fitted, params, combined, covariance, undetermined, held_at(held, opened, values))
+    return Estimates(
+        fitted, params, combined, covariance, undetermined, held_at(held, opened, values)
+    )
 
 
 def held_at(held: np.ndarray, opened: list[int], values: np.ndarray) -> np.ndarray:
@@ -80,12 +100,12 @@ def held_at(held: np.ndarray, opened: list[int], values: np.ndarray) -> np.ndarr
 
 @cached_jit
 def _parameters(model: AbstractModel, coordinates: Vector, held: Vector):
-    """The model at ``coordinates``, its parameters (p,), their derivatives (p, p) by coordinate."""
+    """Parameters (p,) at ``coordinates``, and their derivatives (p, p) by coordinate."""
 
     def values(z):
         return jnp.stack(list(model.moved(z, held).values().values()))
 
-    return model.moved(coordinates, held), values(coordinates), jax.jacfwd(values)(coordinates)
+    return values(coordinates), jax.jacfwd(values)(coordinates)
 
 
 def _combined(
@@ -108,7 +128,7 @@ def _combined(
 
 
 def _sentences(
-    open_: list[tuple[int, list[int]]],
+    open_: Sequence[tuple[int, list[int]]],
     names: list[str],
     values: np.ndarray,
     combined: dict[str, Estimate],
@@ -133,17 +153,3 @@ def _sentences(
         held = ", ".join(f"{names[i]} (held at {values[i]:.6g})" for i in alone)
         said.append(f"not determined by this picture: {held}")
     return tuple(said)
-
-
-@dataclasses.dataclass(frozen=True)
-class Estimate:
-    """A parameter's value; ``stderr`` is None where it is fixed or cannot be known. ``interval``
-    is the 95% interval of its profile likelihood, ``posterior`` the middle 95% of the posterior,
-    where these were asked for."""
-
-    value: float
-    stderr: float | None
-    fixed: bool = False
-    at_bound: bool = False
-    interval: tuple[float, float] | None = None
-    posterior: tuple[float, float] | None = None

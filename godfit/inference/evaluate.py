@@ -3,15 +3,25 @@ own, each kept. Done one by one, the operations of a single ``moved`` take twent
 
 from __future__ import annotations
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
-from godfit.runtime.program_cache import cached_jit
+from godfit.inference.observation import Observation
+from godfit.models.base import AbstractModel, Vector
+from godfit.runtime.program_cache import RunTime, cached_jit
+
+
+def model_at(z, held, model):
+    """The model there."""
+    return eqx.combine(_moved(z, held, model), model)
 
 
 @cached_jit
-def model_at(z, held, model):
-    """The model there."""
-    return model.moved(z, held)
+def _moved(z, held, model):
+    # What does not move stays with the caller: a traced number of samples would come back an array.
+    return eqx.filter(model.moved(z, held), eqx.is_inexact_array)
 
 
 @cached_jit
@@ -21,9 +31,9 @@ def coordinates_at(z, held, model):
 
 
 @cached_jit
-def predicted(z, held, model, seen):
-    """(n c,) levels at the pixels seen, every pixel's channels together."""
-    return seen.predict(model.moved(z, held))
+def predicted(z, held, model, observation):
+    """(n c,) levels at the pixels observation, every pixel's channels together."""
+    return observation.predict(model.moved(z, held))
 
 
 @cached_jit
@@ -32,9 +42,22 @@ def occlusion_of(model, mask):
     return model.occlusion(mask)
 
 
-@cached_jit
 def taps_of(model):
     """Places (k + 1,) and weights (k + 1,) of the one pass of ``model``, the pixel's own first."""
+    # So many numbers as there are taps: a program of its own for each.
+    return _taps_of(jax.tree.map(lambda leaf: int(leaf) if type(leaf) is RunTime else leaf, model))
+
+
+@cached_jit
+def _taps_of(model):
     (taps,) = model.taps
     own = jnp.full(1, taps.own, taps.c.dtype)
     return jnp.append(jnp.zeros_like(own), taps.t), jnp.append(own, taps.c)
+
+
+@cached_jit
+def predictions(
+    points: Float[Array, "n p"], held: Vector, model: AbstractModel, observation: Observation
+) -> Float[Array, "n m"]:
+    """Levels of the model at each of ``points``."""
+    return jax.lax.map(lambda z: observation.predict(model.moved(z, held)), points)

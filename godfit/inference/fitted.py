@@ -2,38 +2,48 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import dataclasses
+from typing import Any
 
 import numpy as np
 
 from godfit.inference import diagnostics
 from godfit.inference.information import Evidence
-from godfit.inference.observation import Observation, Picture
+from godfit.inference.observation import Observation
+from godfit.inference.problem import Problem
 from godfit.inference.settle import Settled
-from godfit.models.base import AbstractModel
 
 
-@dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
 class Found:
-    """Where a fit ended. ``free`` and ``held`` (p,) say what moved and where the rest was held;
-    ``opened`` are the coordinates that the picture leaves open, each with those it trades with."""
+    """Where a fit ended.
 
-    model: AbstractModel
-    picture: Picture
-    seen: Observation
+    - ``problem`` was solved on the pixels of ``observation``; ``settled`` is the point, and
+      ``evidence`` the likelihood about it.
+    - ``opened`` are the coordinates that the picture leaves open, each with those it trades with.
+    - ``inquire`` is False where nobody wants to know what may be wrong.
+    - ``remarks`` are doubts about the model, ``objection`` is why the answer is not to be believed
+      at all; both in words.
+    - ``shifts`` are changes of the coordinates (p,), each the effect of something that was taken as
+      known and may be a little different.
+    - ``starts_agreed`` is (agreeing, tried) where other starts were tried.
+    - ``remedy`` is another interpretation of the images that explains far more.
+    - ``scatter`` (p, p) is the covariance of the coordinates where it was simulated.
+    """
+
+    problem: Problem
+    observation: Observation
     settled: Settled
-    at: Evidence
-    free: np.ndarray
-    held: np.ndarray
-    opened: list[tuple[int, list[int]]]
+    evidence: Evidence
+    opened: tuple[tuple[int, list[int]], ...] = ()
     inquire: bool = True
-    # What may be wrong, and why the answer is not to be believed at all, in words.
     remarks: tuple[str, ...] = ()
     objection: str = ""
-    # Of the coordinates (p,), where what was taken as known is a little different.
     shifts: tuple[np.ndarray, ...] = ()
     starts_agreed: tuple[int, int] | None = None
-    # What another reading of the images, which explains far more, says was wrong.
     remedy: diagnostics.Suspect | None = None
-    # Covariance of the coordinates (p, p), where a known cause of what is left was simulated.
     scatter: np.ndarray | None = None
+
+    def replaced(self, **fields: Any) -> Found:
+        """The same with other ``fields``."""
+        return dataclasses.replace(self, **fields)

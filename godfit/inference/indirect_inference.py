@@ -10,7 +10,6 @@ pictures of points around scatter as the answer does (parametric bootstrap).
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 
 import jax.numpy as jnp
@@ -22,8 +21,8 @@ from godfit.inference.fitted import Found
 from godfit.inference.information import evidence
 from godfit.inference.noise import EXPLAINED, WITHIN_ROUNDING, log_likelihood_at
 from godfit.inference.observation import Picture, render
-from godfit.inference.settle import Settled, Tangent
-from godfit.inference.solver import linearise, solve_tangent
+from godfit.inference.settle import Settled
+from godfit.inference.solver import Intervals, solve_tangent, tangent_at
 from godfit.io.image import LEVELS, encode
 from godfit.io.jpeg import compressed, settings_of, was_jpeg
 from godfit.models.base import AbstractModel
@@ -86,16 +85,17 @@ def corrected(found: Found) -> Found:
     """The fit with what the target went through taken away, and with the scatter that this causes;
     as it was where that is not known, or where the fitted picture, treated so, is another than the
     target."""
-    picture, settled = found.picture, found.settled
-    process = process_of(picture, found.model, settled.sigma)
-    if process is None or not found.free.any():
+    problem, settled = found.problem, found.settled
+    picture, free = problem.picture, problem.free
+    process = process_of(picture, problem.model, settled.sigma)
+    if process is None or not free.any():
         return found
-    bounds = [np.asarray(b, np.float64) for b in found.model.bounds()]
+    bounds = [np.asarray(b, np.float64) for b in problem.model.bounds()]
     first = settled.coordinates.astype(np.float64)
     z, errors, apart = first, np.zeros((0, len(first))), 0.0
     for _ in range(CORRECTIONS):
         estimate, errors, apart = _simulated(found, z, process)
-        before, z = z, np.where(found.free, np.clip(estimate - errors.mean(0), *bounds), first)
+        before, z = z, np.where(free, np.clip(estimate - errors.mean(0), *bounds), first)
         if np.all(np.abs(z - before) <= errors.std(0)):
             break
     else:
@@ -106,22 +106,15 @@ def corrected(found: Found) -> Found:
     # Under a wrong model corrections may lead to where pictures are so odd that any are alike.
     if not alike or left > WORSE * max(settled.sigma, HALF):
         return found
-    tangent = _tangent(found, z)
-    likelihood = log_likelihood_at(tangent.prediction, found.seen, settled.sigma)
+    tangent = tangent_at(z.astype(np.float32), problem, found.observation)
+    likelihood = log_likelihood_at(tangent.prediction, found.observation, settled.sigma)
     settled = Settled(z.astype(np.float32), settled.sigma, likelihood, quiet=True)
-    at = evidence(settled, tangent, found.seen)
+    at = evidence(settled, tangent, found.observation)
     # So few draws leave their own covariance in doubt, and the mean that was taken away.
     count = len(errors)
     wider = (stdtrit(count - 1, 0.975) / ndtri(0.975)) ** 2 * (1 + 1 / count)
     scatter = wider * np.atleast_2d(np.cov(errors.T))
-    return dataclasses.replace(found, settled=settled, at=at, scatter=scatter)
-
-
-def _tangent(found: Found, z: np.ndarray) -> Tangent:
-    at = z.astype(np.float32)
-    scale = found.model.scales(at)
-    prediction, jacobian = linearise(at, found.held, scale, found.model, found.seen)
-    return Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
+    return found.replaced(settled=settled, evidence=at, scatter=scatter)
 
 
 def _processed_at(
@@ -129,8 +122,8 @@ def _processed_at(
 ) -> np.ndarray:
     """(h, w, c) the picture of coordinates ``z`` after the process; the target's where that is
     ignored."""
-    picture = found.picture
-    model = found.model.moved(jnp.asarray(z, jnp.float32), jnp.asarray(found.held, jnp.float32))
+    picture = found.problem.picture
+    model = found.problem.at(np.asarray(z, np.float32))
     return np.where(picture.valid[..., None], process(model, rng), picture.levels)
 
 
@@ -140,23 +133,23 @@ def _simulated(
     """(p,) the estimate from the target on the tangent at ``z``, (draws, p) by how much such
     estimates from processed pictures of points around ``z`` are off, and the root mean square
     (levels) by which two such pictures differ but for what their points make them."""
-    tangent, free = _tangent(found, z), np.flatnonzero(found.free)
+    problem, observation = found.problem, found.observation
+    tangent = tangent_at(z.astype(np.float32), problem, observation)
+    free = np.flatnonzero(problem.free)
     rng = np.random.default_rng(0)
     errors: list[np.ndarray] = []
     left: list[np.ndarray] = []
-    pixels, channels = np.asarray(found.seen.pixels), found.picture.channels
+    pixels, channels = np.asarray(observation.pixels), problem.picture.channels
     rows = np.arange(len(tangent.prediction))
     if len(rows) > VALUES:
         rows = np.sort(rng.choice(len(rows), VALUES, replace=False))
-    tangent = Tangent(tangent.prediction[rows], tangent.jacobian[:, rows], tangent.scale)
+    tangent = tangent.only(rows)
     centre = z.astype(np.float32)
-    away = min(AWAY, PART / max(found.picture.size))
+    away = min(AWAY, PART / max(problem.picture.size))
 
     def estimate(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
-        return solve_tangent(
-            centre, found.free, found.model, tangent.scale, tangent.prediction, tangent.jacobian,
-            lo, hi, found.settled.sigma, found.seen.foreign,
-        ).coordinates  # fmt: skip
+        intervals = Intervals(lo, hi, observation.foreign)
+        return solve_tangent(centre, problem, tangent, intervals, found.settled.sigma).coordinates
 
     for draw in range(DRAWS):
         step = np.zeros(len(z))
@@ -165,7 +158,7 @@ def _simulated(
         else:
             block = np.atleast_2d(np.cov(np.array(errors)[:, free].T))
             step[free] = rng.multivariate_normal(np.zeros(len(free)), block, check_valid="ignore")
-        there = np.clip(z + step * tangent.scale, *found.model.bounds())
+        there = np.clip(z + step * tangent.scale, *problem.model.bounds())
         levels = _processed_at(found, there, process, rng).reshape(-1, channels)[pixels]
         levels = levels.ravel()[rows]
         lo, hi = levels - HALF, levels + HALF
@@ -174,5 +167,5 @@ def _simulated(
         errors.append((end - there) / tangent.scale)
         left.append(levels - tangent.moved(there - z))
     spread = float(np.sqrt(np.mean((np.array(left) - np.mean(left, 0)) ** 2) * DRAWS / (DRAWS - 1)))
-    own = estimate(np.asarray(found.seen.lo)[rows], np.asarray(found.seen.hi)[rows])
+    own = estimate(np.asarray(observation.lo)[rows], np.asarray(observation.hi)[rows])
     return own.astype(np.float64), np.array(errors) * tangent.scale, np.sqrt(2) * spread

@@ -9,7 +9,8 @@ import numpy as np
 
 from godfit.inference.likelihood import interval
 from godfit.inference.observation import Observation
-from godfit.inference.settle import Settled, Tangent
+from godfit.inference.settle import Settled
+from godfit.inference.solver import Intervals, Tangent
 from godfit.runtime.parallel import parallel_map
 from godfit.runtime.program_cache import cached_jit
 
@@ -87,7 +88,9 @@ class Evidence(NamedTuple):
 
 
 @cached_jit
-def _evidence(prediction, jacobian, lo, hi, sigma, blunt_sigma, foreign):
+def _evidence(prediction, jacobian, intervals, sigma, blunt_sigma):
+    lo, hi, foreign = intervals
+
     def pixels(sigma):
         return interval((lo - prediction) / sigma, (hi - prediction) / sigma, foreign)
 
@@ -100,16 +103,17 @@ def _evidence(prediction, jacobian, lo, hi, sigma, blunt_sigma, foreign):
     return curvature(sharp, sigma), slopes @ slopes.T, blunt, slopes.sum(1), sharp.slope
 
 
-def evidence(settled: Settled, tangent: Tangent, seen: Observation) -> Evidence:
+def evidence(settled: Settled, tangent: Tangent, observation: Observation) -> Evidence:
     """The evidence at a settled point."""
-    lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
+    lo, hi = np.asarray(observation.lo), np.asarray(observation.hi)
     width = hi - lo
     sigma = settled.sigma
     blunt_sigma = np.hypot(sigma, width[np.isfinite(width)].max(initial=0) / math.sqrt(12))
 
     def of(rows: slice) -> list[np.ndarray]:
-        values = tangent.prediction[rows], tangent.jacobian[:, rows], lo[rows], hi[rows]
-        found = _evidence(*values, np.float32(sigma), np.float32(blunt_sigma), seen.foreign)
+        intervals = Intervals(lo[rows], hi[rows], observation.foreign)
+        values = tangent.prediction[rows], tangent.jacobian[:, rows], intervals
+        found = _evidence(*values, np.float32(sigma), np.float32(blunt_sigma))
         return [np.asarray(z) for z in found]
 
     parts = parallel_map(of, [slice(b, b + BLOCK) for b in range(0, len(lo), BLOCK)])
@@ -164,13 +168,13 @@ class Misfit(NamedTuple):
         return self.tails < MAX_TAILS and self.correlation < MAX_CORRELATION
 
 
-def misfit(prediction: np.ndarray, seen: Observation) -> Misfit:
+def misfit(prediction: np.ndarray, observation: Observation) -> Misfit:
     """``Misfit`` of the values that are not clipped."""
-    lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
+    lo, hi = np.asarray(observation.lo), np.asarray(observation.hi)
     inside = np.isfinite(lo) & np.isfinite(hi)
     residual = (np.where(inside, lo, 0) + np.where(inside, hi, 0)) / 2
     residual = np.where(inside, np.asarray(prediction) - residual, 0.0)
-    if seen.foreign:
+    if observation.foreign:
         # Of those that are foreign nobody says that they are noise.
         spread = 1.4826 * float(np.median(np.abs(residual[inside]))) if inside.any() else 0.0
         inside &= np.abs(residual) < 5 * max(spread, 0.3)
@@ -181,10 +185,10 @@ def misfit(prediction: np.ndarray, seen: Observation) -> Misfit:
     if power == 0:
         return Misfit(0.0, 0.0)
     tails = float(np.square(square).sum(dtype=np.float64)) / count / power**2
-    rows = residual.reshape(-1, seen.channels)
-    known = inside.reshape(-1, seen.channels)
-    pixels = np.asarray(seen.pixels)
-    beside = (np.diff(pixels) == 1) & (pixels[1:] % seen.size[1] != 0)
+    rows = residual.reshape(-1, observation.channels)
+    known = inside.reshape(-1, observation.channels)
+    pixels = np.asarray(observation.pixels)
+    beside = (np.diff(pixels) == 1) & (pixels[1:] % observation.size[1] != 0)
     both = known[:-1] & known[1:] & beside[:, None]
     pairs = max(int(np.count_nonzero(both)), 1)
     products = np.where(both, rows[:-1] * rows[1:], 0)

@@ -61,7 +61,7 @@ def _likeliest(prediction, lo, hi, middle, first, last, part_of: int, foreign: f
 
 def best_sigma(
     prediction: np.ndarray,
-    seen: Observation,
+    observation: Observation,
     part_of: int = SIGMA_VALUES,
     near: float | None = None,
 ) -> tuple[float, float]:
@@ -76,18 +76,22 @@ def best_sigma(
     last = 2 if part_of == SIGMA_VALUES else 3
     first, middle = (0, MIDDLE) if near is None else (last - 1, near)
     found = _likeliest(
-        prediction, seen.lo, seen.hi, np.float32(middle), np.int32(first), np.int32(last),
-        part_of, seen.foreign,
+        prediction, observation.lo, observation.hi, np.float32(middle), np.int32(first), np.int32(last),
+        part_of, observation.foreign,
     )  # fmt: skip
     sigma, likelihood, within = (float(z) for z in np.asarray(found))
     if near is not None and not within:
-        return best_sigma(prediction, seen, part_of)
+        return best_sigma(prediction, observation, part_of)
     return sigma, likelihood if math.isfinite(likelihood) else -math.inf
 
 
 _total_at = cached_jit(_total)
 
 
-def log_likelihood_at(prediction: np.ndarray, seen: Observation, sigma: float) -> float:
+def log_likelihood_at(prediction: np.ndarray, observation: Observation, sigma: float) -> float:
     """Log-likelihood of all pixels."""
-    return float(_total_at(prediction, seen.lo, seen.hi, np.float32(sigma), seen.foreign))
+    return float(
+        _total_at(
+            prediction, observation.lo, observation.hi, np.float32(sigma), observation.foreign
+        )
+    )

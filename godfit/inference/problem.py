@@ -1,25 +1,91 @@
-"""What a fit solves."""
+"""What a fit solves: a model, a picture, and which of the model's parameters are free."""
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
+import functools
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from godfit.errors import InputError
-from godfit.inference.observation import Picture
+from godfit.inference.evaluate import model_at
+from godfit.inference.observation import Observation, Picture
 from godfit.io.image import Image
 from godfit.io.sources import shrink_mask
 from godfit.models.base import AbstractModel
 from godfit.models.build import check_values
 
-# More values than this say nothing new, and their derivatives would fill the memory.
 MAX_VALUES = 1 << 21
+"""Values (pixels times channels) of a fit, at most: more add nothing, and their derivatives would
+fill the memory."""
+PIXELS = 2048
+"""Pixels of a search: enough to tell minima apart, few enough to be evaluated in milliseconds."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Problem:
+    """A model to be fitted to a picture.
+
+    ``model`` says which kind; the point it is at does not matter. ``free`` (p,) are the coordinates
+    that may move, ``held`` (p,) the values of the parameters that may not, NaN where free. ``seed``
+    is that of the choice of pixels. Coordinates and parameters have the same names and order.
+    """
+
+    model: AbstractModel
+    picture: Picture
+    free: np.ndarray
+    held: np.ndarray
+    seed: int = 0
+
+    @functools.cached_property
+    def names(self) -> list[str]:
+        """Names of the coordinates, in order."""
+        return list(self.model.parameters)
+
+    @functools.cached_property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """(p,) lower and (p,) upper bounds of the coordinates, float32."""
+        lower, upper = self.model.bounds()
+        return np.asarray(lower, np.float32), np.asarray(upper, np.float32)
+
+    @property
+    def small(self) -> Problem:
+        """The same for the copy of the picture that searches work on."""
+        return self.replaced(picture=self.picture.small)
+
+    def replaced(self, **fields: Any) -> Problem:
+        """The problem with other ``fields``."""
+        return dataclasses.replace(self, **fields)
+
+    def index(self, name: str) -> int:
+        """The place of a coordinate. Raises ValueError where the model has none of this name."""
+        return self.names.index(name)
+
+    def is_free(self, name: str) -> bool:
+        """Whether the model has a coordinate of this name and it may move."""
+        return name in self.names and bool(self.free[self.index(name)])
+
+    def holding(self, name: str, value: float) -> Problem:
+        """The problem with one more parameter held."""
+        free, held = self.free.copy(), self.held.copy()
+        free[self.index(name)], held[self.index(name)] = False, value
+        return self.replaced(free=free, held=held)
+
+    def at(self, coordinates: np.ndarray) -> AbstractModel:
+        """The model at ``coordinates`` (p,), with the held parameters where they are held."""
+        return model_at(coordinates, self.held, self.model)
+
+    def observe(self, count: int, blur: float = 0.0) -> Observation:
+        """``count`` informative pixels of the picture, blurred by ``blur`` pixels."""
+        return self.picture.observe(self.picture.informative(count, self.seed), blur)
 
 
 def pixels_used(picture: Picture, seed: int, most: int = MAX_VALUES) -> np.ndarray:
-    """All valid pixels, or those of rows drawn at random where there are too many."""
+    """Sorted indices of all valid pixels, or of those in rows drawn at random where there are more
+    than ``most`` values."""
     valid = picture.valid
     rows = max(1, most // (valid.shape[1] * picture.channels))
     if rows < valid.shape[0]:
@@ -28,9 +94,6 @@ def pixels_used(picture: Picture, seed: int, most: int = MAX_VALUES) -> np.ndarr
         only[chosen] = True
         valid = valid & only
     return np.flatnonzero(valid)
-
-
-PIXELS = 2048
 
 
 def checked_picture(
@@ -70,7 +133,8 @@ def checked_picture(
 def given_and_held(
     model: AbstractModel, fix: Mapping[str, float | None], start: Mapping[str, float]
 ) -> tuple[dict[str, float], np.ndarray]:
-    """Values that the search takes as they are, and (p,) held parameters, NaN where free."""
+    """Values that a search starts from, by name, and (p,) those of the parameters that are held, NaN
+    where free. Raises InputError for an unknown name, or a value out of range."""
     table = model.parameters
     given: dict[str, float] = {}
     for option, values in (("start", start), ("fix", fix)):

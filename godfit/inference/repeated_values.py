@@ -16,8 +16,9 @@ from scipy.special import ndtri
 
 from godfit.inference.noise import EXPLAINED, best_sigma
 from godfit.inference.observation import Observation
-from godfit.inference.settle import Settled, Tangent, settle, tangent_at
-from godfit.models.base import AbstractModel
+from godfit.inference.problem import Problem
+from godfit.inference.settle import Settled, settle
+from godfit.inference.solver import Tangent, tangent_at
 
 # Levels within which values are alike, and so many of them that it is no chance.
 ALIKE, MANY = 1e-4, 4
@@ -26,53 +27,51 @@ REACH = 8.0
 ROUNDS = 2
 
 
-def relieved(seen: Observation, prediction: np.ndarray, sigma: float) -> Observation:
-    """``seen`` with wider intervals for values that are repeated near the end of theirs, as
+def relieved(observation: Observation, prediction: np.ndarray, sigma: float) -> Observation:
+    """``observation`` with wider intervals for values that are repeated near the end of theirs, as
     ``prediction`` (m,) has them in levels; itself where there are none, or where more noise than
     rounding is left."""
     if sigma > EXPLAINED:
-        return seen
-    lo, hi = np.array(seen.lo), np.array(seen.hi)
+        return observation
+    lo, hi = np.array(observation.lo), np.array(observation.hi)
     slack = np.minimum(prediction - lo, hi - prediction)
     # Values that were never rounded have no interval.
     near = np.flatnonzero((slack < REACH * sigma) & (hi > lo))
     if not len(near):
-        return seen
+        return observation
     alike = np.rint(prediction[near].astype(np.float64) / ALIKE).astype(np.int64)
     alike -= alike.min()
     # All lie near an end of some level, so that there are few millions to be counted.
     count = np.bincount(alike)[alike]
     near, count = near[count >= MANY], count[count >= MANY]
     if not len(near):
-        return seen
+        return observation
     wider = -sigma * ndtri(-np.expm1(-np.log(2) / count)).astype(np.float32)
     lo[near] -= wider
     hi[near] += wider
-    return eqx.tree_at(lambda s: (s.lo, s.hi), seen, (jnp.asarray(lo), jnp.asarray(hi)))
+    return eqx.tree_at(lambda s: (s.lo, s.hi), observation, (jnp.asarray(lo), jnp.asarray(hi)))
 
 
 def counted_once(
     start: np.ndarray,
-    model: AbstractModel,
+    problem: Problem,
     whole: Observation,
-    free: np.ndarray,
-    held: np.ndarray,
     known: list[Tangent],
 ) -> tuple[Settled, Tangent, Observation]:
     """Settled from ``start`` on with flat areas counted once; and the observation that it is then a
     fit to. ``known`` holds the tangent at ``start``, if there is one, and is emptied as in
     ``settle``."""
-    tangent = known.pop() if known else tangent_at(start, held, model, whole)
+    tangent = known.pop() if known else tangent_at(start, problem, whole)
     sigma, _ = best_sigma(tangent.prediction, whole)
-    settled, seen = Settled(start, sigma, -np.inf, False), None
+    settled, observation = Settled(start, sigma, -np.inf, False), None
     for _ in range(ROUNDS):
-        before, seen = seen, relieved(whole, tangent.prediction, settled.sigma)
-        if before is whole and seen is whole:
+        before, observation = observation, relieved(whole, tangent.prediction, settled.sigma)
+        if before is whole and observation is whole:
             break
         known = [tangent]
         del tangent
         settled, tangent = settle(
-            settled.coordinates, model, seen, free, held, known=known, spot_check=True
+            settled.coordinates, problem, observation, known=known, spot_check=True
         )
-    assert seen is not None
-    return settled, tangent, seen
+    assert observation is not None
+    return settled, tangent, observation

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from godfit.inference.observation import Observation
-from godfit.inference.settle import Tangent
+from godfit.inference.solver import Tangent
 
 # Cells a side, in pixels, that a picture of 256 pixels is cut into; never less than a JPEG's unit.
 CELLS, LEAST_CELL = 8, 16
@@ -22,13 +22,13 @@ CELLS, LEAST_CELL = 8, 16
 CHANCE, TRACE = 5.0, 0.03
 
 
-def neighbours(score: np.ndarray, seen: Observation) -> tuple[float, float, int]:
+def neighbours(score: np.ndarray, observation: Observation) -> tuple[float, float, int]:
     """Correlation of horizontal and of vertical neighbours of ``score`` (m,), and the number of
     pairs that the lesser known of them comes from."""
-    h, w = seen.size
-    image = np.full((h * w, seen.channels), np.nan, np.float32)
-    image[np.asarray(seen.pixels)] = np.asarray(score).reshape(-1, seen.channels)
-    image = image.reshape(h, w, seen.channels)
+    h, w = observation.size
+    image = np.full((h * w, observation.channels), np.nan, np.float32)
+    image[np.asarray(observation.pixels)] = np.asarray(score).reshape(-1, observation.channels)
+    image = image.reshape(h, w, observation.channels)
     found, pairs = [], []
     for a, b in ((image[:, :-1], image[:, 1:]), (image[:-1], image[1:])):
         both = np.isfinite(a) & np.isfinite(b)
@@ -40,21 +40,21 @@ def neighbours(score: np.ndarray, seen: Observation) -> tuple[float, float, int]
     return found[0], found[1], min(known, default=0)
 
 
-def white(score: np.ndarray, seen: Observation) -> bool:
+def white(score: np.ndarray, observation: Observation) -> bool:
     """Whether neighbours know nothing of each other."""
-    across, down, pairs = neighbours(score, seen)
+    across, down, pairs = neighbours(score, observation)
     return bool(max(across, down) < max(TRACE, CHANCE / np.sqrt(max(pairs, 1))))
 
 
 def slope_covariance(
-    tangent: Tangent, score: np.ndarray, sigma: float, seen: Observation
+    tangent: Tangent, score: np.ndarray, sigma: float, observation: Observation
 ) -> np.ndarray:
     """(p, p) covariance of the log-likelihood's slope by coordinate, from its sums over cells."""
-    h, w = seen.size
+    h, w = observation.size
     side = max(LEAST_CELL, max(h, w) // CELLS)
-    pixels = np.asarray(seen.pixels)
+    pixels = np.asarray(observation.pixels)
     across = -(-w // side)
-    cell = np.repeat(pixels // w // side * across + pixels % w // side, seen.channels)
+    cell = np.repeat(pixels // w // side * across + pixels % w // side, observation.channels)
     weight = np.asarray(score, np.float64) / sigma
     sums = np.stack([np.bincount(cell, weight * row) for row in tangent.jacobian])
     sums /= np.asarray(tangent.scale, np.float64)[:, None]

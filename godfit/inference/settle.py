@@ -9,11 +9,9 @@ import numpy as np
 
 from godfit.inference.noise import EXPLAINED, FINAL_SIGMA_VALUES, best_sigma
 from godfit.inference.observation import Observation
-from godfit.inference.problem import PIXELS
-from godfit.inference.solver import linearise, solve_tangent
-from godfit.models.base import AbstractModel
+from godfit.inference.problem import PIXELS, Problem
+from godfit.inference.solver import Intervals, Tangent, solve_tangent, tangent_at
 from godfit.runtime.blas import one_thread
-from godfit.runtime.program_cache import cached_jit
 
 # Of a picture that is only rounded, values nearest to the walls of their intervals that have a say,
 # least.
@@ -46,52 +44,20 @@ class Settled(NamedTuple):
     quiet: bool
 
 
-class Tangent(NamedTuple):
-    """The model about a point: levels (m,), derivatives (p, m) by coordinates over ``scale``."""
-
-    prediction: np.ndarray
-    jacobian: np.ndarray
-    scale: np.ndarray
-
-    def only(self, rows: np.ndarray) -> Tangent:
-        """Of some of the levels."""
-        return Tangent(self.prediction[rows], self.jacobian[:, rows], self.scale)
-
-    def moved(self, by: np.ndarray) -> np.ndarray:
-        """Levels where the coordinates are others ``by`` so much."""
-        step = np.asarray(by / self.scale, np.float32)
-        return np.asarray(_along(self.prediction, self.jacobian, step))
-
-
-def tangent_at(z: np.ndarray, held: np.ndarray, model: AbstractModel, seen: Observation) -> Tangent:
-    """The tangent at a point: every pixel is rendered, with its derivatives."""
-    scale = model.scales(z)
-    prediction, jacobian = linearise(z, held, scale, model, seen)
-    return Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
-
-
-@cached_jit
-def _along(prediction, jacobian, step):
-    # By XLA: BLAS in numpy keeps a core busy, waiting, long after the product is done.
-    return prediction + step @ jacobian
-
-
-def veil(seen: Observation) -> Settled:
+def veil(observation: Observation) -> Settled:
     """One value everywhere, the mean of the values, as the only coordinate, and the noise about
     it."""
-    lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
+    lo, hi = np.asarray(observation.lo), np.asarray(observation.hi)
     known = np.isfinite(lo) & np.isfinite(hi)
     level = np.float32(((lo + hi) / 2)[known].mean() if known.any() else 0.0)
-    sigma, likelihood = best_sigma(np.full(len(lo), level), seen, FINAL_SIGMA_VALUES)
+    sigma, likelihood = best_sigma(np.full(len(lo), level), observation, FINAL_SIGMA_VALUES)
     return Settled(np.array([level], np.float32), sigma, likelihood, True)
 
 
 def settle(
     start: np.ndarray,
-    model: AbstractModel,
-    seen: Observation,
-    free: np.ndarray,
-    held: np.ndarray,
+    problem: Problem,
+    observation: Observation,
     *,
     rounds: int = 10,
     known: list[Tangent] | None = None,
@@ -105,32 +71,34 @@ def settle(
     nobody keeps it for longer than it is of use. With ``spot_check`` the pixels are not rendered
     again where a few of them say that the tangent is as good.
     """
-    start = np.clip(start, *(np.asarray(bound, np.float32) for bound in model.bounds()))
-    few = _drawn(seen) if spot_check else []
-    settled, tangent = _in_rounds(start, model, seen, free, held, rounds, known or [], few)
+    start = np.clip(start, *problem.bounds)
+    few = _drawn(observation) if spot_check else []
+    settled, tangent = _in_rounds(start, problem, observation, rounds, known or [], few)
     if settled.sigma > EXPLAINED:
         # On the way a few percent were enough; errors are quoted in units of it.
-        sigma, likelihood = best_sigma(tangent.prediction, seen, FINAL_SIGMA_VALUES, settled.sigma)
+        sigma, likelihood = best_sigma(
+            tangent.prediction, observation, FINAL_SIGMA_VALUES, settled.sigma
+        )
         settled = settled._replace(sigma=sigma, log_likelihood=likelihood)
     return settled, tangent
 
 
-def _in_rounds(start, model, seen, free, held, rounds, known, few) -> tuple[Settled, Tangent]:
-    def render(z, seen=seen):
-        return tangent_at(z, held, model, seen)
+def _in_rounds(start, problem, observation, rounds, known, few) -> tuple[Settled, Tangent]:
+    def render(z, observation=observation):
+        return tangent_at(z, problem, observation)
 
     tangent = known.pop() if known else render(start)
-    sigma, likelihood = best_sigma(tangent.prediction, seen)
+    sigma, likelihood = best_sigma(tangent.prediction, observation)
     best = Settled(start, sigma, likelihood, False)
     part = 1.0
-    kinked = (model.banded or seen.foreign) and len(seen.pixels) > FEW
+    kinked = (problem.model.banded or observation.foreign) and len(observation.pixels) > FEW
     short = SHORT if kinked else SHORT_WITHOUT
     for _ in range(rounds):
-        goal, there = aim(best, tangent, model, seen, free)
+        goal, there = aim(best, tangent, problem, observation)
         if goal.log_likelihood < best.log_likelihood + short:
             # So short a step that the tangent is as good as another rendering.
             return goal, there
-        exact = _exact(goal, there, few, render, free, model) if few else None
+        exact = _exact(goal, there, few, render, problem) if few else None
         if exact is not None:
             return exact, there
         z = best.coordinates + np.float32(part) * (goal.coordinates - best.coordinates)
@@ -139,7 +107,7 @@ def _in_rounds(start, model, seen, free, held, rounds, known, few) -> tuple[Sett
             # Two sets of derivatives would be the most that a fit ever holds: rather made again.
             tangent = None
         there = render(z)
-        sigma, likelihood = best_sigma(there.prediction, seen, near=goal.sigma)
+        sigma, likelihood = best_sigma(there.prediction, observation, near=goal.sigma)
         gained = likelihood - best.log_likelihood
         done = abs(gained) < short / 8
         if gained > 0:
@@ -157,15 +125,15 @@ def _in_rounds(start, model, seen, free, held, rounds, known, few) -> tuple[Sett
     return best, tangent
 
 
-def _drawn(seen: Observation) -> list[tuple[np.ndarray, Observation]]:
+def _drawn(observation: Observation) -> list[tuple[np.ndarray, Observation]]:
     """Some pixels, drawn at random, as observations of PIXELS each, with the values that are
     theirs; none of a picture that has few."""
-    total = len(seen.pixels)
+    total = len(observation.pixels)
     count = total // (SPOT_CHECKED * PIXELS)
     drawn = np.random.default_rng(0).choice(total, (count, PIXELS), replace=False, shuffle=False)
-    channels = np.arange(seen.channels)
+    channels = np.arange(observation.channels)
     return [
-        ((rows[:, None] * seen.channels + channels).reshape(-1), seen.only(rows))
+        ((rows[:, None] * observation.channels + channels).reshape(-1), observation.only(rows))
         for rows in np.sort(drawn)
     ]
 
@@ -175,8 +143,7 @@ def _exact(
     tangent: Tangent,
     few: list[tuple[np.ndarray, Observation]],
     render: Callable[[np.ndarray, Observation], Tangent],
-    free: np.ndarray,
-    model: AbstractModel,
+    problem: Problem,
 ) -> Settled | None:
     """The point whose rendering has the levels of the ``tangent``, which is bent away from them at
     the ``goal``: by least squares on a ``few`` pixels. None if there is no such point nearby."""
@@ -184,11 +151,11 @@ def _exact(
     of = tangent.only(values)
 
     def off(z):
-        return np.concatenate([render(z, seen).prediction for _, seen in few]) - of.prediction
+        return np.concatenate([render(z, part).prediction for _, part in few]) - of.prediction
 
-    lower, upper = (np.asarray(bound, np.float32) for bound in model.bounds())
+    lower, upper = problem.bounds
     # What is on its bound stays there.
-    moving = free & (z > lower) & (z < upper)
+    moving = problem.free & (z > lower) & (z < upper)
     bent, slopes = off(z), of.jacobian[moving].T
     if not (np.isfinite(bent).all() and np.isfinite(slopes).all()):
         return None
@@ -202,15 +169,15 @@ def _exact(
 
 
 def aim(
-    at: Settled, tangent: Tangent, model: AbstractModel, seen: Observation, free: np.ndarray
+    at: Settled, tangent: Tangent, problem: Problem, observation: Observation
 ) -> tuple[Settled, Tangent]:
     """Where the tangent's likelihood is largest, with the tangent taken there."""
     z, sigma, likelihood = at.coordinates, at.sigma, at.log_likelihood
-    lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
+    lo, hi = np.asarray(observation.lo), np.asarray(observation.hi)
     levels, slack = tangent.prediction, _slack(tangent.prediction, lo, hi)
     objected = None
     for _ in range(5):
-        rows, of, walls = None, tangent, (seen.lo, seen.hi)
+        rows, of, walls = None, tangent, (observation.lo, observation.hi)
         if sigma < EXPLAINED:
             rows = _least(slack)
         if rows is not None:
@@ -219,11 +186,12 @@ def aim(
                 break
             of, walls = tangent.only(rows), (lo[rows], hi[rows])
         moved = of.moved(z - at.coordinates)
+        intervals = Intervals(*walls, observation.foreign)
         there = solve_tangent(
-            z, free, model, tangent.scale, moved, of.jacobian, *walls, sigma, seen.foreign
+            z, problem, of._replace(prediction=moved), intervals, sigma
         ).coordinates
         moved = tangent.moved(there - at.coordinates)
-        suits, found = best_sigma(moved, seen, near=sigma)
+        suits, found = best_sigma(moved, observation, near=sigma)
         if rows is not None and found < likelihood:
             if np.abs(moved - levels).max() < NOWHERE * sigma:
                 break

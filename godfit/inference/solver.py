@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from godfit.inference.likelihood import deviance_residuals, interval
 from godfit.inference.observation import Observation
+from godfit.inference.problem import Problem
 from godfit.models.base import AbstractModel, Values, Vector
 from godfit.runtime.blas import one_thread
 from godfit.runtime.device import on_device
@@ -24,14 +25,16 @@ Switches = Bool[Array, " p"] | Bool[np.ndarray, " p"]
 Scalar = Float[Array, ""] | np.float32
 
 MAX_ACTIVE_SET_ROUNDS = 6
-MAX_STEPS, RTOL = 12, 1e-5
+MAX_STEPS = 12
+RTOL = 1e-5
 MAX_TANGENT_STEPS = 60
 # Gain in log-likelihood that is not worth another step on a tangent.
 ENOUGH = 1e-2
 
 
 class Point(NamedTuple):
-    """Where a solve ended: coordinates, half the deviance there, whether the solver was content."""
+    """Where a solve ended: coordinates (p,), half the deviance there, whether the solver
+    terminated by itself, and how many steps it took."""
 
     coordinates: np.ndarray
     cost: float
@@ -39,27 +42,77 @@ class Point(NamedTuple):
     steps: int
 
 
+class Stop(NamedTuple):
+    """When a solve stops: once no step changes coordinates (in their scales) or deviance by more
+    than a share of ``rtol``, or after ``steps``."""
+
+    rtol: float = RTOL
+    steps: int = MAX_STEPS
+
+
+class Tangent(NamedTuple):
+    """The model about a point: levels (m,), derivatives (p, m) by coordinates over ``scale``."""
+
+    prediction: np.ndarray
+    jacobian: np.ndarray
+    scale: np.ndarray
+
+    def only(self, rows: np.ndarray) -> Tangent:
+        """The tangent of some of the levels."""
+        return Tangent(self.prediction[rows], self.jacobian[:, rows], self.scale)
+
+    def moved(self, by: np.ndarray) -> np.ndarray:
+        """(m,) levels at coordinates that differ ``by`` (p,)."""
+        step = np.asarray(by / self.scale, np.float32)
+        return np.asarray(_along(self.prediction, self.jacobian, step))
+
+
+class Intervals(NamedTuple):
+    """Bounds ``lo`` (m,) and ``hi`` (m,) of values in levels, and the share ``foreign`` of them
+    that may have any level."""
+
+    lo: Values
+    hi: Values
+    foreign: float = 0.0
+
+
+def tangent_at(coordinates: np.ndarray, problem: Problem, observation: Observation) -> Tangent:
+    """The tangent at a point: every pixel is rendered, with its derivatives."""
+    scale = problem.model.scales(coordinates)
+    prediction, jacobian = linearise(coordinates, problem.held, scale, problem.model, observation)
+    return Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
+
+
+@cached_jit
+def _along(prediction, jacobian, step):
+    # XLA's product: BLAS in numpy keeps a core busy, waiting, long after it is done.
+    return prediction + step @ jacobian
+
+
 @cached_jit
 def _least_squares(
     start: Vector,
-    free: Switches,
-    scale: Vector,
-    held: Vector,
+    moving: tuple[Switches, Vector, Vector],
     model: AbstractModel,
-    seen: Observation,
+    observation: Observation,
     sigma: Scalar,
-    rtol: float,
-    most: int,
+    stop: Stop,
 ):
+    free, held, scale = moving
+    lo, hi, foreign = observation.lo, observation.hi, observation.foreign
+
     def residuals(y, _):
         at = model.moved(jnp.where(free, y * scale, start), held)
-        return share * deviance_residuals(seen.predict(at), seen.lo, seen.hi, sigma, seen.foreign)
+        return share * deviance_residuals(observation.predict(at), lo, hi, sigma, foreign)
 
     # Residuals of order one in sum make the solver's first damping, 1, mean something: it starts
     # between the gradient and the Newton step instead of leaping.
-    share = seen.lo.shape[0] ** -0.5
+    share = lo.shape[0] ** -0.5
+    rtol = stop.rtol
     solver = optx.LevenbergMarquardt(rtol=rtol, atol=rtol / 10, linear_solver=lx.QR())
-    solution = optx.least_squares(residuals, solver, start / scale, max_steps=most, throw=False)
+    solution = optx.least_squares(
+        residuals, solver, start / scale, max_steps=stop.steps, throw=False
+    )
     coordinates = jnp.where(free, solution.value * scale, start)
     cost = 0.5 * jnp.sum((solution.state.f_info.residual / share) ** 2)
     settled = solution.result == optx.RESULTS.successful
@@ -72,13 +125,13 @@ def linearise(
     held: Vector,
     scale: Vector,
     model: AbstractModel,
-    seen: Observation,
+    observation: Observation,
 ) -> tuple[Float[Array, " m"], Float[Array, "p m"]]:
     """Predicted levels and, a row for each, their derivatives by the coordinates divided by
     ``scale``."""
 
     def predict(y):
-        return seen.predict(model.moved(y * scale, held))
+        return observation.predict(model.moved(y * scale, held))
 
     y = coordinates / scale
     move = functools.partial(jax.jvp, predict, (y,))
@@ -90,20 +143,18 @@ def _on_tangent(
     step: Vector,
     prediction: Values,
     jacobian: Float[Array, "p m"] | Float[np.ndarray, "p m"],
-    lo: Values,
-    hi: Values,
+    intervals: Intervals,
     sigma: Scalar,
-    foreign: float = 0.0,
 ) -> Float[Array, "p+2 p"]:
     """Log-likelihood with the model replaced by its tangent (first of the first row), slope by
     ``step`` (second row) and curvature."""
     jacobian = jnp.asarray(jacobian)
     levels = jnp.asarray(prediction) + step @ jacobian
-    low, high = (jnp.asarray(lo) - levels) / sigma, (jnp.asarray(hi) - levels) / sigma
-    pixel = interval(low, high, foreign)
+    low, high = (jnp.asarray(z) - levels for z in (intervals.lo, intervals.hi))
+    pixel = interval(low / sigma, high / sigma, intervals.foreign)
     curvature = (jacobian * (pixel.curvature / sigma**2)[None]) @ jacobian.T
     slope = jacobian @ (pixel.slope / sigma)
-    # In one array: what is brought back one by one takes as long as it takes to work out.
+    # In one array: each transfer to the host takes as long as the computation.
     return jnp.concatenate([jnp.full_like(slope, pixel.log.sum())[None], slope[None], curvature])
 
 
@@ -112,74 +163,71 @@ def _gram(jacobian):
     return jacobian @ jacobian.T
 
 
+STOP = Stop()
+
+
 def solve(
     start: np.ndarray,
-    free: np.ndarray,
-    held: np.ndarray,
-    model: AbstractModel,
-    seen: Observation,
+    problem: Problem,
+    observation: Observation,
     sigma: float,
     *,
     bounded: bool = True,
-    rtol: float = RTOL,
-    most: int = MAX_STEPS,
+    stop: Stop = STOP,
 ) -> Point:
-    """Minimise the deviance over the ``free`` coordinates, inside the model's bounds or, far from
-    the answer, without them: the way there may lead outside, where the sum is as smooth. At
-    ``most`` so many steps, or until none changes coordinates, in scales, and deviance by more than
-    a share of ``rtol``."""
+    """Minimise the deviance over the free coordinates from ``start`` (p,), next to noise of
+    ``sigma`` levels.
 
-    limits = np.float32(sigma), rtol, most
+    The solution lies inside the model's bounds. Far from the answer bounds can be switched off: the
+    path may lead outside, where the sum is as smooth.
+    """
+    model, held = problem.model, problem.held
 
-    def run(z, moving):
-        scale = model.scales(z)
+    def run(z, free):
+        moving = free, held, model.scales(z)
         with one_thread():
-            found = _least_squares(z, moving, scale, held, model, seen, *limits)
-            # JAX goes on before it is done.
+            found = _least_squares(z, moving, model, observation, np.float32(sigma), stop)
+            # JAX returns before the computation is done.
             return jax.block_until_ready(found)
 
     if not bounded:
-        value, cost, settled, steps = run(start, free)
+        value, cost, settled, steps = run(start, problem.free)
         sound = np.isfinite(value).all() and np.isfinite(cost)
         return Point(np.asarray(value), float(cost) if sound else np.inf, bool(settled), int(steps))
 
     def slope(z):
-        prediction, jacobian = linearise(z, held, np.ones_like(z), model, seen)
-        return _slope(prediction, jacobian, seen.lo, seen.hi, np.float32(sigma), seen.foreign)
+        levels, jacobian = linearise(z, held, np.ones_like(z), model, observation)
+        intervals = Intervals(observation.lo, observation.hi, observation.foreign)
+        return _slope(levels, jacobian, intervals, np.float32(sigma))
 
-    return _inside(start, free, model, run, slope)
+    return _inside(start, problem, run, slope)
 
 
 def solve_tangent(
-    start: np.ndarray,
-    free: np.ndarray,
-    model: AbstractModel,
-    scale: np.ndarray,
-    prediction: Values,
-    jacobian: Float[Array, "p m"] | Float[np.ndarray, "p m"],
-    lo: Values,
-    hi: Values,
-    sigma: float,
-    foreign: float = 0.0,
+    start: np.ndarray, problem: Problem, tangent: Tangent, intervals: Intervals, sigma: float
 ) -> Point:
-    """The likeliest coordinates inside the bounds on the tangent at ``start``, given by
-    ``linearise``: a concave problem in a few unknowns.
+    """The likeliest coordinates inside the bounds on the ``tangent`` at ``start``: a concave
+    problem in a few unknowns.
 
     Newton's method, damped by what least squares knows (the likelihood is flat inside the intervals
     and steep outside) and projected onto the bounds: a coordinate on its bound with a slope
     outwards stays there (Bertsekas, SIAM J. Control Optim. 20 (1982), 221).
     """
-    values = [*(on_device(z) for z in (prediction, jacobian, lo, hi)), np.float32(sigma)]
-    bounds = [np.asarray(b) for b in model.bounds()]
+    prediction, jacobian, scale = tangent
+    lo, hi, foreign = intervals
+    free = problem.free
+    levels, slopes, lower_ends, upper_ends = (on_device(z) for z in (prediction, jacobian, lo, hi))
+    values = levels, slopes, Intervals(lower_ends, upper_ends, foreign), np.float32(sigma)
+    bounds = [np.asarray(b) for b in problem.model.bounds()]
     lower, upper = ((b - start) / scale for b in bounds)
     width = np.asarray(hi) - np.asarray(lo)
     rounding = width[np.isfinite(width)].max(initial=0) ** 2 / 12
-    # One scale for every coordinate keeps those that nothing is known of where they are.
-    least_squares = np.asarray(_gram(values[1]), np.float64) / (sigma**2 + rounding)
+    # The identity on top keeps coordinates in place that the picture does not determine.
+    least_squares = np.asarray(_gram(slopes), np.float64) / (sigma**2 + rounding)
     still, size = 1.0, np.sqrt(np.diag(least_squares) + 1)
 
     def at(step):
-        found = _on_tangent(step.astype(np.float32), *values, foreign)
+        found = _on_tangent(step.astype(np.float32), *values)
         found = np.asarray(found, np.float64)
         return found[0, 0], found[1], found[2:]
 
@@ -216,18 +264,19 @@ def solve_tangent(
 
 
 @cached_jit
-def _slope(prediction, jacobian, lo, hi, sigma, foreign):
+def _slope(prediction, jacobian, intervals, sigma):
+    lo, hi, foreign = intervals
     pixel = interval((lo - prediction) / sigma, (hi - prediction) / sigma, foreign)
     return -jacobian @ (pixel.slope / sigma)
 
 
-def _inside(start, free, model, run, slope) -> Point:
+def _inside(start, problem, run, slope) -> Point:
     """``run`` again and again with fewer or more coordinates moving, until all are in bounds.
 
     A coordinate that a run takes out of its bounds is put on the bound and stays there for the next
     one: a true value can lie *on* a bound, which a sigmoid could never reach.
     """
-    lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
+    free, (lower, upper) = problem.free, problem.bounds
 
     def inward(z, of):
         falls = np.asarray(slope(z)) if of.any() else np.zeros_like(z)

@@ -7,12 +7,14 @@ evaluates the image; it names no model.
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import ClassVar
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from godfit.scattering.parameters import Parameter
+from godfit.scattering.taps import Count
 from godfit.scattering.upsample import Texels
 
 # By coordinate or by parameter; what lives between two calls is kept as a numpy array.
@@ -29,13 +31,15 @@ class AbstractModel(eqx.Module):
     name: eqx.AbstractClassVar[str]
     # Coordinates are held where a picture leaves them open: this one last.
     held_last: eqx.AbstractClassVar[str]
+    # Whether the mask is 1 where the sky is open, and 0 where anything hides it.
+    mask_is_sky: ClassVar[bool] = False
     # (open, other): where the first is open and the other is not, only their product is known.
     product: eqx.AbstractClassVar[tuple[str, str]]
     # Whether the cost has a dip for every band that taps leave, see ``dips.py``.
     banded: eqx.AbstractClassVar[bool]
     # Channels that the image has whatever the mask has.
     channels: eqx.AbstractClassVar[int]
-    samples: eqx.AbstractVar[int]
+    samples: eqx.AbstractVar[Count]
     light: eqx.AbstractVar[Float[Array, "lights 2"]]
 
     @property

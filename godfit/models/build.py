@@ -73,6 +73,20 @@ def check_values(model: AbstractModel, values: Mapping[str, float], option: str)
             )
 
 
+def template(
+    kind: str,
+    settings: Mapping[str, Any],
+    lights: int,
+    geometry: tuple[Scene | None, float | None, float | np.ndarray | None],
+) -> tuple[AbstractModel, tuple[str, ...]]:
+    """A model of the ``kind`` named, at no particular point, and notes on what was assumed for it.
+    ``geometry`` is the scene, or the field of view in degrees and the distance without one."""
+    samples = settings.get("samples")
+    if kind == HoffmanPreetham.name:
+        return daylight_template(*geometry, samples)
+    return mitchell_template(settings.get("shader", "mitchell"), samples, lights), ()
+
+
 def daylight_template(
     scene: Scene | None,
     fov: float | None,
@@ -146,8 +160,9 @@ def view_of_scene(scene: Scene, distance: float | None = None) -> View:
     return View(away, float(scene.camera.fov_y), (up[0], up[1], up[2]))
 
 
-def staged_template(model: Mitchell, scene: Scene, names: Sequence[str]) -> Staged:
+def staged_template(model: AbstractModel, scene: Scene, names: Sequence[str]) -> Staged:
     """The model that draws its own mask, ``names`` of the scene free."""
+    assert isinstance(model, Mitchell)
     if model.light.shape[0] != 1:
         raise InputError("lights: expected 1 with a scene, which has one; fit with a mask instead")
     if len(set(names)) < len(names):

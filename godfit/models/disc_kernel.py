@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 from godfit.runtime.numba_jit import fast_jit, inlined_jit
 from godfit.runtime.xla_ffi import answers_version_query, declare, matrix, register, result, vector
 from godfit.scattering.radial.derivatives import RayParameters
+from godfit.scattering.taps import Count
 
 # Points that are summed side by side; of how many more calls are made than one, and how many: XLA
 # shares them out among its threads if they are many.
@@ -47,7 +48,7 @@ def disc_pass(
     at: Float[Array, "2 n"],
     numbers: RayParameters,
     shape: Float[Array, " 3"],
-    count: int,
+    count: Count,
     cut: int,
     soft: float,
     slopes: bool,

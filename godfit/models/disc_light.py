@@ -30,7 +30,7 @@ from godfit.scattering.radial.derivatives import (
     partial_derivatives,
 )
 from godfit.scattering.radial.exact import fastest
-from godfit.scattering.taps import Convention, Taps
+from godfit.scattering.taps import Convention, Count, Taps, number_of
 from godfit.scattering.upsample import Texels, at_pixels
 
 try:
@@ -128,7 +128,7 @@ class DiscLight(AbstractModel):
         return self.shading.convention
 
     @property
-    def samples(self) -> int:
+    def samples(self) -> Count:
         return self.shading.samples
 
     @property
@@ -330,7 +330,7 @@ class DiscLight(AbstractModel):
         )
         where = at.reshape(-1, 2).T.astype(dtype)
         lit = disc_pass(
-            open_, where, numbers, self.shape.astype(dtype), taps.count, self.cut, SOFT, slopes
+            open_, where, numbers, self.shape.astype(dtype), number_of(taps), self.cut, SOFT, slopes
         )
         out = (own * lit.itself + first * lit.sums[0]).reshape(at.shape[:-1])
         if not slopes:

@@ -19,7 +19,8 @@ from godfit.models.atmosphere import LEAST_TURBIDITY, Air, hoffman_preetham, zen
 from godfit.models.base import AbstractModel, Vector
 from godfit.scattering.parameters import Parameter, light_parameters
 from godfit.scattering.radial import radial_sum
-from godfit.scattering.taps import averaging_taps
+from godfit.scattering.radial.exact import at_run_time
+from godfit.scattering.taps import Count, averaging_taps
 from godfit.scattering.upsample import Texels, at_pixels
 
 AIR = (
@@ -80,6 +81,7 @@ class HoffmanPreetham(AbstractModel):
 
     name: ClassVar[str] = "hoffman-preetham"
     held_last: ClassVar[str] = "e_sun"
+    mask_is_sky: ClassVar[bool] = True
     product: ClassVar[tuple[str, str]] = ("scale", "e_sun")
     banded: ClassVar[bool] = False
     channels: ClassVar[int] = 3
@@ -87,10 +89,10 @@ class HoffmanPreetham(AbstractModel):
     air: Air
     light: Float[Array, "1 2"]
     view: View
-    samples: int = eqx.field(static=True, default=100)
+    samples: Count = 100
 
-    def __init__(self, air: Air, light, view: View, samples: int = 100):
-        self.air, self.view, self.samples = air, view, samples
+    def __init__(self, air: Air, light, view: View, samples: Count = 100):
+        self.air, self.view, self.samples = air, view, at_run_time(samples)
         self.light = jnp.asarray(light, float).reshape(1, 2)
 
     @property

@@ -21,7 +21,8 @@ from godfit.models.base import FAINTEST, AbstractModel, Vector
 from godfit.runtime.device import on_device
 from godfit.scattering.parameters import SCATTERING, Parameter, table
 from godfit.scattering.radial import radial_sum
-from godfit.scattering.taps import Convention, Taps, convention
+from godfit.scattering.radial.exact import at_run_time
+from godfit.scattering.taps import Convention, Count, Taps, convention
 from godfit.scattering.upsample import Texels, at_pixels
 
 
@@ -49,14 +50,14 @@ class Mitchell(AbstractModel):
     weight: Float[Array, ""]
     light: Float[Array, "lights 2"]
     shader: str = eqx.field(static=True, default="mitchell")
-    samples: int = eqx.field(static=True, default=100)
+    samples: Count = 100
 
     def __init__(self, exposure, decay, density, weight, light, shader="mitchell", samples=None):
         self.exposure, self.decay = on_device(exposure, float), on_device(decay, float)
         self.density, self.weight = on_device(density, float), on_device(weight, float)
         self.light = on_device(light, float).reshape(-1, 2)
         self.shader = convention(shader).name
-        self.samples = convention(shader).samples if samples is None else samples
+        self.samples = at_run_time(convention(shader).samples if samples is None else samples)
 
     @property
     def convention(self) -> Convention:
@@ -89,7 +90,6 @@ class Mitchell(AbstractModel):
         gain = self.exposure * self.weight * per_ray
         return jnp.stack([self.exposure, kappa, self.density, gain, *self.light.reshape(-1)])
 
-    @eqx.filter_jit
     def moved(self, coordinates: Vector, held: Vector | None = None) -> Mitchell:
         if held is None:
             held = jnp.full_like(coordinates, jnp.nan)

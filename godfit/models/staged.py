@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from godfit.models.base import AbstractModel, Vector
 from godfit.models.mitchell import Mitchell
 from godfit.scattering.parameters import SCATTERING, Parameter
-from godfit.scattering.taps import Convention
+from godfit.scattering.taps import Convention, Count
 from godfit.scattering.upsample import Texels
 from godfit.scenes.raster import on_screen, rasterise
 from godfit.scenes.scene import Scene
@@ -45,7 +45,9 @@ class Staged(AbstractModel):
     free: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(self, shading, scene, free, offsets=None):
-        self.shading, self.scene, self.free = shading, scene, tuple(free)
+        # The mask follows the scene, and its derivative needs a known number of taps.
+        known = eqx.tree_at(lambda m: m.samples, shading, int(shading.samples))
+        self.shading, self.scene, self.free = known, scene, tuple(free)
         count = sum(scene.value(name).size for name in self.free)
         self.offsets = jnp.zeros(count) if offsets is None else offsets
 
@@ -62,7 +64,7 @@ class Staged(AbstractModel):
         return np.concatenate([self.shading.used[:4], np.ones(self.offsets.size, bool)])
 
     @property
-    def samples(self) -> int:
+    def samples(self) -> Count:
         return self.shading.samples
 
     @property

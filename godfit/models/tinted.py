@@ -14,6 +14,7 @@ from godfit.models.base import AbstractModel, Vector
 from godfit.models.mitchell import Mitchell
 from godfit.runtime.device import on_device
 from godfit.scattering.parameters import Parameter
+from godfit.scattering.taps import Count
 from godfit.scattering.upsample import Texels, at_pixels
 
 TINT = (
@@ -39,7 +40,7 @@ class Tinted(AbstractModel):
         self.shading, self.tint = shading, on_device(tint, float)
 
     @property
-    def samples(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def samples(self) -> Count:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.shading.samples
 
     @property

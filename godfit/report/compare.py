@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from godfit.inference.criteria import CLEAR
 from godfit.io.image import LEVELS, encode
 from godfit.report.figure import worst_channel
 from godfit.report.files import write_result
@@ -17,9 +18,6 @@ from godfit.report.result import FitResult
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-# A difference in a criterion that leaves the lesser model little support (Burnham & Anderson 2.6).
-CLEAR = 10.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from godfit.inference.criteria import CLEAR
 from godfit.inference.observation import Picture
 from godfit.inference.settle import Settled, Tangent
 from godfit.io.image import LEVELS
@@ -20,9 +21,6 @@ from godfit.report.result import FitResult
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-# A difference in a criterion that leaves the lesser model little support (Burnham & Anderson 2.6).
-CLEAR = 10.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -7,14 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from godfit.inference import diagnostics, sandwich
-from godfit.inference.estimates import Estimate, estimates
+from godfit.inference.estimates import Estimate, Solution, estimates
 from godfit.inference.evaluate import model_at
 from godfit.inference.fitted import Found
 from godfit.inference.information import Misfit, misfit
 from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.observation import Picture
-from godfit.inference.settle import Settled, Tangent
-from godfit.inference.solver import linearise
+from godfit.inference.settle import Settled
+from godfit.inference.solver import tangent_at
 from godfit.io.image import LEVELS
 from godfit.report.result import FitResult
 
@@ -47,45 +47,41 @@ class Spread(NamedTuple):
 def spread(found: Found) -> Spread:
     """How well the coordinates are known, all that is known to be correlated or doubtful counted
     in."""
-    left = misfit(found.at.prediction, found.seen)
+    left = misfit(found.evidence.prediction, found.observation)
     if found.scatter is not None:
-        known = found.at.covariance(found.free)
-        grown = _growth(found.scatter, known, found.free)
-        block = diagnostics.jpeg(found.picture)
+        known = found.evidence.covariance(found.problem.free)
+        grown = _growth(found.scatter, known, found.problem.free)
+        block = diagnostics.jpeg(found.problem.picture)
         return Spread(found.scatter, grown, 1.0, [] if block is None else [block], left)
     # The pixels of an upsampled pass share its texels and say no more than these.
-    upsampled = float(np.prod(found.picture.size) / np.prod(found.picture.mask.shape[:2]))
-    covariance, growth, suspects = _correlated(found, found.at.covariance(found.free), left)
+    upsampled = float(
+        np.prod(found.problem.picture.size) / np.prod(found.problem.picture.mask.shape[:2])
+    )
+    covariance, growth, suspects = _correlated(
+        found, found.evidence.covariance(found.problem.free), left
+    )
     covariance = covariance * max(1.0, upsampled / growth)
     for shift in found.shifts:
         covariance += np.outer(shift, shift)
-    growth = max(growth, upsampled, found.picture.repeats)
+    growth = max(growth, upsampled, found.problem.picture.repeats)
     return Spread(covariance, growth, upsampled, suspects, left)
 
 
 def verdict(
     found: Found,
-    used: np.ndarray,
     notes: tuple[str, ...],
     files: dict[str, dict[str, str]],
     timing: dict[str, float],
-    seed: int = 0,
 ) -> FitResult:
-    """The result; ``used`` (p,) says which parameters the shader has, ``seed`` how pixels were
-    chosen."""
-    picture, seen, settled, at = found.picture, found.seen, found.settled, found.at
-    pixels = np.asarray(seen.pixels)
+    """The result of a fit; ``notes`` and ``files`` are those of its inputs, ``timing`` seconds."""
+    problem, settled, at = found.problem, found.settled, found.evidence
+    picture, pixels = problem.picture, np.asarray(found.observation.pixels)
     errs = spread(found)
     left = errs.left
-    told = estimates(
-        found.model,
-        settled.coordinates,
-        errs.covariance,
-        found.free,
-        found.held,
-        found.opened,
-        used,
+    solution = Solution(
+        settled.coordinates, errs.covariance, problem.free, problem.held, found.opened
     )
+    told = estimates(problem.model, solution, problem.model.used)
     objection = found.objection
     if picture.foreign and not objection:
         objection = _from_anywhere(found.starts_agreed, told.params)
@@ -102,7 +98,7 @@ def verdict(
         trusted = True
     trusted = trusted and not objection
     # One line of pixels, repeated, has so many explanations that its errors say nothing.
-    a_line = is_a_line(picture) and int(found.free.sum()) > 2
+    a_line = is_a_line(picture) and int(problem.free.sum()) > 2
     converged = trusted and settled.quiet and not a_line
     return FitResult(
         converged=converged,
@@ -111,7 +107,7 @@ def verdict(
         params=told.params,
         combined=told.combined,
         covariance=told.covariance,
-        correlations=_correlations(list(found.model.parameters), told.covariance),
+        correlations=_correlations(problem.names, told.covariance),
         undetermined=told.undetermined,
         warnings=(*(s.words for s in errs.suspects), *remarks),
         notes=notes,
@@ -126,9 +122,9 @@ def verdict(
         log_likelihood=settled.log_likelihood,
         timing_s=timing | {"solve": timing["solve"] - timing["compile"]},
         picture=picture,
-        free=found.free,
+        free=problem.free,
         held=told.held,
-        seed=seed,
+        seed=problem.seed,
         starts_agreed=found.starts_agreed,
         simulated=found.scatter is not None,
         inputs=files,
@@ -155,24 +151,22 @@ def _correlated(
 ) -> tuple[np.ndarray, float, list[diagnostics.Suspect]]:
     """The covariance (p, p) with correlation allowed for, how many pixels each independent one
     stands for, and what may be wrong. Untouched where neighbours err independently."""
-    settled, seen = found.settled, found.seen
+    problem, settled, observation = found.problem, found.settled, found.observation
     if settled.sigma <= WITHIN_ROUNDING:
         return covariance, 1.0, []
-    block = diagnostics.jpeg(found.picture)
+    block = diagnostics.jpeg(found.problem.picture)
     suspects = [] if block is None else [block]
-    if sandwich.white(found.at.score, seen):
+    if sandwich.white(found.evidence.score, observation):
         return covariance, 1.0, suspects
-    scale = found.model.scales(settled.coordinates)
-    prediction, jacobian = linearise(settled.coordinates, found.held, scale, found.model, seen)
-    tangent = Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
-    slope = sandwich.slope_covariance(tangent, found.at.score, settled.sigma, seen)
-    covariance, growth = sandwich.widened(covariance, slope, found.free)
-    model = model_at(settled.coordinates, found.held, found.model)
+    tangent = tangent_at(settled.coordinates, problem, observation)
+    slope = sandwich.slope_covariance(tangent, found.evidence.score, settled.sigma, observation)
+    covariance, growth = sandwich.widened(covariance, slope, found.problem.free)
+    model = model_at(settled.coordinates, problem.held, problem.model)
     if found.inquire and (not left.like_noise or settled.sigma > 1):
-        pixels = np.asarray(seen.pixels)
+        pixels = np.asarray(observation.pixels)
         if found.remedy is not None:
             return covariance, growth, [*suspects, found.remedy]
-        likely = diagnostics.diagnose(found.picture, model, pixels, tangent)
+        likely = diagnostics.diagnose(found.problem.picture, model, pixels, tangent)
         suspects += diagnostics.named(likely)
     return covariance, growth, suspects
 

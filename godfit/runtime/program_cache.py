@@ -45,6 +45,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 
 from godfit.runtime.cache import cache_folder, newest_source_time
@@ -132,17 +133,30 @@ def _preload_list(folder: Path) -> Path:
     return folder / ("needed-" + hashlib.sha256(_workload.encode()).hexdigest()[:16])
 
 
+class RunTime(int):
+    """A whole number that compiled programs take at run time: one program serves every number.
+
+    For Python it is an ``int``; inside a program of ``cached_jit`` it is traced.
+    """
+
+
+def _traceable(leaf: Any) -> Any:
+    """A RunTime number as an array; any other leaf as it is."""
+    return np.int32(leaf) if isinstance(leaf, RunTime) else leaf
+
+
 def cached_jit(function: Callable[..., Any]) -> Callable[..., Any]:
     """``jax.jit`` whose programs are stored on disk after ``enable_program_cache``.
 
-    Arguments are arrays, pytrees of arrays, and settings: every leaf that is not an array is one,
-    and static. Results are arrays, or pytrees of them. Inside another traced function it is a
-    plain ``jax.jit``.
+    Arguments are arrays, pytrees of arrays, and settings. Every leaf that is neither an array nor a
+    RunTime number is a setting, and static. Results are arrays, or pytrees of them. Inside another
+    traced function it is a plain ``jax.jit``.
     """
 
     @functools.wraps(function)
     def call(*args: Any) -> Any:
         leaves, tree = jax.tree.flatten(args)
+        leaves = [_traceable(leaf) for leaf in leaves]
         is_array = tuple(eqx.is_array(leaf) for leaf in leaves)
         arrays = [leaf for leaf, array in zip(leaves, is_array, strict=True) if array]
         # With their types: 1 equals True, and is another setting.

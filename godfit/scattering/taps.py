@@ -13,11 +13,12 @@ from __future__ import annotations
 
 import difflib
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jax.core import Tracer
+from jaxtyping import Array, Float, Int
 
 from godfit.errors import InputError
 
@@ -27,10 +28,38 @@ UNPUBLISHED_SAMPLES = 100
 """Samples of a shader that publishes no default: the most common of the published ones."""
 
 
+@dataclass(frozen=True, eq=False)
+class TracedCount:
+    """A number of taps that a compiled program takes at run time.
+
+    Only methods that do not unroll the taps serve it.
+    """
+
+    value: Int[Array, ""]
+
+
+# Pyright treats a count as an int: only the methods that serve a TracedCount distinguish it.
+if TYPE_CHECKING:
+    Count = int
+else:
+    Count = int | Int[Array, ""] | TracedCount
+
+
+def as_count(number: Any) -> Any:
+    """The ``count`` of ``Taps`` for a number that may be traced."""
+    return TracedCount(number) if isinstance(number, Tracer) else number
+
+
+def number_of(taps: Taps) -> Any:
+    """The number of taps, traced or not, for kernels that take it at run time."""
+    return taps.count.value if isinstance(taps.count, TracedCount) else taps.count
+
+
 class Taps(eqx.Module):
     """Taps c_k = first * ratio**(k-1) at t_k = (k - lag) * step for k = 1..count, and c_0 = own at
     t_0 = 0. The lag of every shader is 0; that of merged taps, each in place of several, is not.
 
+    ``count`` is a Python number or, inside a program that serves every number, a ``TracedCount``.
     ``unit`` is that of ``step``: ``"ray"``, a fraction of the way from the pixel to the light (0 at
     the pixel, 1 at the light), or ``"uv"``, a distance in texture coordinates. With ``"uv"`` taps
     beyond the light have no weight.
@@ -40,7 +69,7 @@ class Taps(eqx.Module):
     first: Scalar
     ratio: Scalar
     step: Scalar
-    count: int = eqx.field(static=True)
+    count: Count = eqx.field(static=True)
     unit: Literal["ray", "uv"] = eqx.field(static=True, default="ray")
     lag: Scalar = 0.0
 
@@ -60,13 +89,13 @@ class Taps(eqx.Module):
         return self.own + self.c.sum()
 
 
-def averaging_taps(samples: int) -> Taps:
+def averaging_taps(samples: Count) -> Taps:
     """Taps whose sum is the mean of the mask over ``samples`` equal steps from pixel to light.
 
     For a mask that is 1 where the sky is visible this mean is 1 - D, the unoccluded share of the
     ray (Mitchell, GPU Gems 3, ch. 13, equation 3).
     """
-    return Taps(0.0, 1 / samples, 1.0, 1 / samples, samples)
+    return Taps(0.0, 1 / samples, 1.0, 1 / samples, as_count(samples))
 
 
 @dataclass(frozen=True)
@@ -99,14 +128,15 @@ class Convention:
     remarks: str = ""
 
     def taps(
-        self, exposure: Scalar, decay: Scalar, density: Scalar, weight: Scalar, samples: int
+        self, exposure: Scalar, decay: Scalar, density: Scalar, weight: Scalar, samples: Count
     ) -> tuple[Taps, ...]:
         """The taps of each pass. Those of a ``box`` convention do not include the exposure."""
         if self.box:
             return tuple(Taps(1 / 6, 1 / 6, 1.0, step, 5, "uv") for step in self.box)
         scale = self.gain * jnp.asarray(exposure)
         first = scale * weight * jnp.asarray(decay) ** (1 - self.order)
-        return (Taps(self.own * scale, first, decay, density / samples, samples - self.drop),)
+        count = as_count(samples - self.drop)
+        return (Taps(self.own * scale, first, decay, density / samples, count),)
 
     @property
     def parameters(self) -> tuple[str, ...]:

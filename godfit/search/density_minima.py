@@ -1,292 +1,276 @@
-"""Dips of the cost in density: found, and told apart.
+"""Minima of the cost in density: found, and compared.
 
-Density is seen where the rays end, and each of the shader's n taps leaves a band there, so that the
-cost has a dip for every band, some 1/n of density apart. ``on_subset`` tries those found by
-``valley.py`` on a few thousand pixels, the others hold neighbours against each other on more.
+Density is visible where the rays end, and each of the shader's n taps leaves a band there, so that
+the cost has a minimum for every band, some 1/n of density apart. ``on_subset`` tries those that
+``density_scan.py`` finds on a few thousand pixels. ``likeliest`` compares what is left, and what
+lies near and far, on all pixels.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from godfit.inference.distinct import DOUBT, distinct
+from godfit.inference.evaluate import predictions
 from godfit.inference.information import Evidence, evidence, misfit
 from godfit.inference.noise import EXPLAINED, SIGMAS, WITHIN_ROUNDING
-from godfit.inference.observation import Observation, Picture
-from godfit.inference.problem import PIXELS
+from godfit.inference.observation import Observation
+from godfit.inference.problem import PIXELS, Problem
 from godfit.inference.repeated_values import counted_once
-from godfit.inference.scan import DOUBT, predictions
 from godfit.inference.settle import Settled, settle, veil
 from godfit.inference.solver import solve
+from godfit.inference.strategy import COARSE_TO_FINE, Report
 from godfit.io.filters import blurred_at
-from godfit.models.base import AbstractModel
-from godfit.search.density_scan import BEYOND_DOUBT, RIVALS, reseed, rivals
-from godfit.search.multigrid import LADDER
+from godfit.search.density_scan import BEYOND_DOUBT, NEARBY_TRIES, nearby_minima, scan_density
 
-# Most corrections for one blur, and the share of a coordinate by which none is worth another.
-CORRECTIONS, STILL = 3, 1e-3
-# What is blurred needs fewer pixels than what is sharp.
+BIAS_CORRECTIONS = 3
+"""Corrections of the blur's bias at one blur, at most."""
+STILL = 1e-3
+"""Relative change of a coordinate that is not worth another correction."""
 CORRECTED_PIXELS = 1 << 9
-# Pixels, most, that rivals are told apart on.
-RIVAL_PIXELS = 1 << 14
+"""Pixels of a blurred picture: fewer than of a sharp one suffice."""
+COMPARED_PIXELS = 1 << 14
+"""Pixels on which minima are compared, at most."""
 CANDIDATES = 3
-# More levels than a wrong dip leaves: the model is another, and no density will do.
+"""Minima that all pixels must decide between, at most."""
 HOPELESS = 6.0
-# And more than a wrong dip of the right model leaves.
-FOREIGN = 20.0
-MAX_DIPS = 5
-# A right answer to a picture that is only rounded leaves less noise than this.
-CONTENT = 1.3 * SIGMAS[0]
-MAX_RESEEDS = 3
-MAX_RIVALRIES = 4
+"""Levels of noise that no wrong minimum leaves: the model is another, and no density will do."""
+ANOTHER_MODEL = 20.0
+"""Levels of noise that no minimum of the right model leaves, however poor the start."""
+NEIGHBOURS = 5
+"""Steps from one minimum to the next, each way, at most."""
+ROUNDING_ONLY = 1.3 * SIGMAS[0]
+"""Noise in levels that the right answer to a picture that is only rounded does not exceed: the
+least that is tried, and the rounding of float32 on top."""
+QUIET = 2 * SIGMAS[0]
+"""Noise in levels at which a few thousand pixels leave nothing to improve."""
+SCANS = 3
+"""Scans over all densities, at most."""
+COMPARISONS = 4
+"""Rounds of comparing the minima nearby, at most."""
+DISTINGUISHED = 1 / 20
+"""Share of a band by which two densities in one minimum may differ; and the error of density, as a
+share of a band, from which on another minimum may be the right one."""
 
 
-def on_subset(
-    picture: Picture,
-    model: AbstractModel,
-    coordinates: np.ndarray,
-    free: np.ndarray,
-    held: np.ndarray,
-    seed: int,
-    say: Callable[[str], None],
-) -> list[np.ndarray]:
-    """Sharp images, a few thousand pixels: the best point, and where density is in doubt, those
-    that all pixels must decide between."""
+class Bands(NamedTuple):
+    """Minima in density: ``along`` is its index, ``width`` the distance between two of them (one
+    band, a shift of the rays' end by one tap), ``doubtful`` whether its error is so wide that
+    another minimum may be the right one."""
+
+    along: int
+    width: float
+    doubtful: bool
+
+
+def bands_at(settled: Settled, at: Evidence, problem: Problem) -> Bands:
+    """The minima about a settled point."""
+    along = problem.index("density")
+    width = float(settled.coordinates[along]) / problem.model.samples
+    variance = at.covariance(problem.free)[along, along]
+    wide = variance > (DISTINGUISHED * width) ** 2
+    return Bands(along, width, bool(problem.free[along] and wide))
+
+
+def on_subset(problem: Problem, start: np.ndarray, report: Report) -> list[np.ndarray]:
+    """The best point on sharp images and a few thousand pixels; where density is in doubt, the
+    points that all pixels must decide between."""
 
     def settled_on(count: int, start: np.ndarray):
-        seen = picture.observe(picture.informative(count, seed))
-        settled, tangent = settle(start, model, seen, free, held)
-        return settled, seen, _dips(settled, evidence(settled, tangent, seen), model, free)
+        observation = problem.observe(count)
+        settled, tangent = settle(start, problem, observation)
+        return (
+            settled,
+            observation,
+            bands_at(settled, evidence(settled, tangent, observation), problem),
+        )
 
-    settled, seen, (along, dip, doubtful) = settled_on(PIXELS, coordinates)
-    quiet = settled.sigma < 2 * SIGMAS[0]
-    if not free[along] or (quiet and not doubtful):
+    settled, observation, (along, width, doubtful) = settled_on(PIXELS, start)
+    quiet = settled.sigma < QUIET
+    if not problem.free[along] or (quiet and not doubtful):
         return [settled.coordinates]
-    if settled.sigma > FOREIGN or not _rays(settled, seen):
+    if settled.sigma > ANOTHER_MODEL or not _explains(settled, observation):
         return [settled.coordinates]
     if quiet:
-        # More pixels may leave no doubt, and are asked faster than other densities.
-        closer, _, (*_, doubtful) = settled_on(RIVAL_PIXELS, settled.coordinates)
-        if closer.sigma < 2 * SIGMAS[0] and not doubtful:
+        # More pixels may leave no doubt, and cost less than a scan.
+        closer, _, bands = settled_on(COMPARED_PIXELS, settled.coordinates)
+        if closer.sigma < QUIET and not bands.doubtful:
             return [closer.coordinates]
-    say("other densities")
-    found = reseed(settled, along, model, picture, free, held, seed)
-    for _ in range(MAX_RESEEDS):
+    report("other densities")
+    found = scan_density(settled, problem, along)
+    for _ in range(SCANS):
         best = found[0]
         if best.sigma < EXPLAINED or best.sigma > HOPELESS:
             break
-        if _like_noise(best, model, seen, held):
+        if _like_noise(best, problem, observation):
             break
-        again = correct(best.coordinates, model, picture, free, held, seed)
-        again, _ = settle(again, model, seen, free, held)
-        if again.log_likelihood < best.log_likelihood:
-            again = best
-        found = reseed(again, along, model, picture, free, held, seed)
+        unbiased, _ = settle(without_bias(best.coordinates, problem), problem, observation)
+        better = max(best, unbiased, key=lambda s: s.log_likelihood)
+        found = scan_density(better, problem, along)
         if found[0].log_likelihood < best.log_likelihood + 1:
             break
-    if found[0].sigma > HOPELESS and not _like_noise(found[0], model, seen, held):
+    if found[0].sigma > HOPELESS and not _like_noise(found[0], problem, observation):
         return [found[0].coordinates]
-    close: list[Settled] = []
-    for other in found:
-        apart = all(abs(other.coordinates[along] - c.coordinates[along]) > dip / 20 for c in close)
-        if apart and other.log_likelihood > found[0].log_likelihood - DOUBT:
-            close.append(other)
-    return [c.coordinates for c in close[:CANDIDATES]]
+    close = [
+        f for f in found if f.log_likelihood > found[0].log_likelihood - DOUBT or f is found[0]
+    ]
+
+    def same(a: Settled, b: Settled) -> bool:
+        apart = abs(a.coordinates[along] - b.coordinates[along])
+        return apart <= DISTINGUISHED * width
+
+    return [c.coordinates for c in distinct(close, same, CANDIDATES)]
 
 
-def _rays(settled: Settled, seen: Observation) -> bool:
-    """Whether the model says more of the pixels than one value everywhere: where it does not, no
-    density can."""
-    return settled.log_likelihood > veil(seen).log_likelihood + DOUBT
+def _explains(settled: Settled, observation: Observation) -> bool:
+    """Whether the model explains more than one value everywhere does; otherwise no density can."""
+    return settled.log_likelihood > veil(observation).log_likelihood + DOUBT
 
 
-def _hopeless(settled: Settled, at: Evidence, seen: Observation) -> bool:
-    return settled.sigma > HOPELESS and not misfit(at.prediction, seen).like_noise
+def _hopeless(settled: Settled, at: Evidence, observation: Observation) -> bool:
+    return settled.sigma > HOPELESS and not misfit(at.prediction, observation).like_noise
 
 
-def _like_noise(at: Settled, model: AbstractModel, seen: Observation, held: np.ndarray) -> bool:
-    fitted = model.moved(jnp.asarray(at.coordinates), jnp.asarray(held))
-    return misfit(np.asarray(seen.predict(fitted)), seen).like_noise
+def _like_noise(at: Settled, problem: Problem, observation: Observation) -> bool:
+    levels = observation.predict(problem.at(at.coordinates))
+    return misfit(np.asarray(levels), observation).like_noise
 
 
-def _dips(
-    settled: Settled, at: Evidence, model: AbstractModel, free: np.ndarray
-) -> tuple[int, float, bool]:
-    """Index of density, the distance between two dips of the cost in it (one band, a shift of the
-    rays' end by one tap), and whether its error is wide enough for another dip to be the right one.
-    """
-    along = list(model.parameters).index("density")
-    dip = float(settled.coordinates[along]) / model.samples
-    variance = at.covariance(free)[along, along]
-    return along, dip, bool(free[along] and variance > (dip / 20) ** 2)
+def likeliest(
+    problem: Problem, candidates: list[np.ndarray], observation: Observation
+) -> tuple[Settled, Evidence, Observation]:
+    """The likeliest of the candidates on all pixels of ``observation`` and, where density is in
+    doubt, of the minima around them; flat areas are counted once in the end."""
+    if len(candidates) == 1:
+        settled, tangent, counted = counted_once(candidates[0], problem, observation, [])
+        at = evidence(settled, tangent, counted)
+        if not (problem.model.banded and _in_doubt(settled, at, problem)):
+            return settled, at, counted
+        candidates = [settled.coordinates]
+        # The derivatives of every pixel would only fill the memory.
+        del tangent
+    settled, tangent = max(
+        (settle(z, problem, observation) for z in candidates),
+        key=lambda found: found[0].log_likelihood,
+    )
+    best = settled, evidence(settled, tangent, observation)
+    first, known = settled, [tangent]
+    del tangent
+    for compare in (_with_neighbours, _with_nearby, _with_distant):
+        best = compare(*best, problem, observation)
+    settled, at = best
+    if settled.sigma > EXPLAINED:
+        return settled, at, observation
+    if settled is not first:
+        known.clear()
+    settled, tangent, counted = counted_once(settled.coordinates, problem, observation, known)
+    return settled, evidence(settled, tangent, counted), counted
 
 
-def in_doubt(settled: Settled, at: Evidence, model: AbstractModel, free: np.ndarray) -> bool:
-    """Whether another dip may be the right one."""
-    return bool(settled.sigma > CONTENT) or _dips(settled, at, model, free)[-1]
+def _in_doubt(settled: Settled, at: Evidence, problem: Problem) -> bool:
+    """Whether another minimum may be the right one."""
+    return bool(settled.sigma > ROUNDING_ONLY) or bands_at(settled, at, problem).doubtful
 
 
-def next_dips(
-    settled: Settled,
-    at: Evidence,
-    model: AbstractModel,
-    seen: Observation,
-    free: np.ndarray,
-    held: np.ndarray,
+def _with_neighbours(
+    settled: Settled, at: Evidence, problem: Problem, observation: Observation
 ) -> tuple[Settled, Evidence]:
-    """From dip to dip, both ways, as long as the likelihood of all pixels gains."""
-    along, dip, doubtful = _dips(settled, at, model, free)
-    if not doubtful or _hopeless(settled, at, seen):
+    """From minimum to minimum, both ways, as long as the likelihood of all pixels gains."""
+    along, width, doubtful = bands_at(settled, at, problem)
+    if not doubtful or _hopeless(settled, at, observation):
         return settled, at
-    covariance = at.covariance(free)
+    covariance = at.covariance(problem.free)
     follow = covariance[:, along] / covariance[along, along]
-    for way in (-dip, dip):
-        for _ in range(MAX_DIPS):
-            start = (settled.coordinates + way * follow).astype(np.float32)
-            other, tangent = settle(start, model, seen, free, held)
+    for step in (-width, width):
+        for _ in range(NEIGHBOURS):
+            start = (settled.coordinates + step * follow).astype(np.float32)
+            other, tangent = settle(start, problem, observation)
             if other.log_likelihood <= settled.log_likelihood + 0.5:
                 break
-            settled, at = other, evidence(other, tangent, seen)
+            settled, at = other, evidence(other, tangent, observation)
     return settled, at
 
 
-def beat_rivals(
-    settled: Settled,
-    at: Evidence,
-    model: AbstractModel,
-    picture: Picture,
-    seen: Observation,
-    free: np.ndarray,
-    held: np.ndarray,
-    seed: int,
+def _with_nearby(
+    settled: Settled, at: Evidence, problem: Problem, observation: Observation
 ) -> tuple[Settled, Evidence]:
-    """The likeliest of the dips around, on all pixels of ``seen``. With noise a wrong dip looks as
-    good as the right one until they are held against each other."""
-    if settled.sigma < WITHIN_ROUNDING or not _rays(settled, seen):
+    """The likeliest of the minima nearby. With noise a wrong minimum looks as good as the right one
+    until both are evaluated on all pixels."""
+    if settled.sigma < WITHIN_ROUNDING or not _explains(settled, observation):
         return settled, at
-    for _ in range(MAX_RIVALRIES):
-        along, dip, _ = _dips(settled, at, model, free)
-        if not free[along] or settled.sigma < WITHIN_ROUNDING:
+    for _ in range(COMPARISONS):
+        along, width, _ = bands_at(settled, at, problem)
+        if not problem.free[along] or settled.sigma < WITHIN_ROUNDING:
             break
-        if _hopeless(settled, at, seen):
+        if _hopeless(settled, at, observation):
             break
         before = settled.log_likelihood
-        count = min(RIVAL_PIXELS, len(seen.pixels) // 4)
-        for z in rivals(settled, along, dip, model, picture, free, held, seed, count):
-            other, tangent = settle(z, model, seen, free, held)
+        count = min(COMPARED_PIXELS, len(observation.pixels) // 4)
+        for z in nearby_minima(settled, problem, along, width, count):
+            other, tangent = settle(z, problem, observation)
             if other.log_likelihood > settled.log_likelihood:
-                settled, at = other, evidence(other, tangent, seen)
+                settled, at = other, evidence(other, tangent, observation)
         if settled.log_likelihood < before + 0.5:
             break
     return settled, at
 
 
-def beat_distant(
-    settled: Settled,
-    at: Evidence,
-    model: AbstractModel,
-    picture: Picture,
-    seen: Observation,
-    free: np.ndarray,
-    held: np.ndarray,
-    seed: int,
+def _with_distant(
+    settled: Settled, at: Evidence, problem: Problem, observation: Observation
 ) -> tuple[Settled, Evidence]:
-    """The likeliest of dips anywhere, on all pixels of ``seen``, where what is left is less than
-    rounding would hide and yet more than a right answer leaves: short rays say so little of density
-    that a few thousand pixels are content with a wrong one."""
-    for _ in range(MAX_RESEEDS):
-        along, dip, _ = _dips(settled, at, model, free)
-        if not free[along] or not CONTENT < settled.sigma < WITHIN_ROUNDING:
+    """The likeliest of the minima anywhere, where the residual is less than rounding would hide and
+    yet more than the right answer leaves: short rays determine density so poorly that a few
+    thousand pixels are content with a wrong one."""
+    for _ in range(SCANS):
+        along, width, _ = bands_at(settled, at, problem)
+        if not problem.free[along] or not ROUNDING_ONLY < settled.sigma < WITHIN_ROUNDING:
             break
         before = settled
-        found = reseed(settled, along, model, picture, free, held, seed, count=RIVAL_PIXELS)
+        found = scan_density(settled, problem, along, count=COMPARED_PIXELS)
         tried = [before.coordinates[along]]
         for other in found:
             if other.log_likelihood < found[0].log_likelihood - BEYOND_DOUBT:
-                # All pixels would take long to say what these say already.
+                # All pixels would take long to confirm it.
                 break
-            if min(abs(other.coordinates[along] - t) for t in tried) < dip / 2:
+            if min(abs(other.coordinates[along] - t) for t in tried) < width / 2:
                 continue
             tried.append(other.coordinates[along])
-            here, tangent = settle(other.coordinates, model, seen, free, held)
+            here, tangent = settle(other.coordinates, problem, observation)
             if here.log_likelihood > settled.log_likelihood:
-                settled, at = here, evidence(here, tangent, seen)
-            if len(tried) > RIVALS:
+                settled, at = here, evidence(here, tangent, observation)
+            if len(tried) > NEARBY_TRIES:
                 break
         if settled.log_likelihood < before.log_likelihood + 1:
             break
     return settled, at
 
 
-def correct(
-    start: np.ndarray,
-    model: AbstractModel,
-    picture: Picture,
-    free: np.ndarray,
-    held: np.ndarray,
-    seed: int,
-) -> np.ndarray:
-    """Down the ladder again with its bias taken out.
+def without_bias(start: np.ndarray, problem: Problem) -> np.ndarray:
+    """The coarse-to-fine search once more, with the blur's bias taken out.
 
     A picture from a blurred mask is not the blurred picture: far along the ray the mask should be
     blurred less, which draws density away from 1. The difference between the two at the present
     point is added to the blurred target, as coarse levels are corrected in multigrid (the full
     approximation scheme: Brandt, Math. Comp. 31 (1977), 333).
     """
-    pixels = picture.informative(CORRECTED_PIXELS, seed)
-    lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
+    picture = problem.picture
+    pixels = picture.informative(CORRECTED_PIXELS, problem.seed)
     z = start
-    for share, _, sigma in LADDER:
-        blur = share * max(picture.size)
-        seen = picture.observe(pixels, blur)
-        for _ in range(CORRECTIONS):
-            at = model.moved(jnp.asarray(z), jnp.asarray(held))
-            sharp = picture.rendered(at)
-            (coarse,) = np.asarray(predictions(jnp.asarray(z[None]), held, model, seen))
-            bias = coarse - blurred_at(sharp, blur, pixels).reshape(-1)
-            shifted = eqx.tree_at(lambda s: (s.lo, s.hi), seen, (seen.lo + bias, seen.hi + bias))
-            before, z = z, solve(z, free, held, model, shifted, sigma, bounded=False).coordinates
-            z = np.clip(z, lower, upper)
+    for stage in COARSE_TO_FINE:
+        blur = stage.blur * max(picture.size)
+        view = picture.observe(pixels, blur)
+        for _ in range(BIAS_CORRECTIONS):
+            sharp = picture.rendered(problem.at(z))
+            levels = predictions(jnp.asarray(z[None]), problem.held, problem.model, view)
+            bias = np.asarray(levels)[0] - blurred_at(sharp, blur, pixels).reshape(-1)
+            unbiased = eqx.tree_at(lambda s: (s.lo, s.hi), view, (view.lo + bias, view.hi + bias))
+            before = z
+            z = solve(z, problem, unbiased, stage.sigma, bounded=False).coordinates
+            z = np.clip(z, *problem.bounds)
             if np.allclose(z, before, rtol=STILL, atol=STILL / 10):
                 break
     return z
-
-
-def likeliest(
-    picture: Picture,
-    model: AbstractModel,
-    candidates: list[np.ndarray],
-    seen: Observation,
-    free: np.ndarray,
-    held: np.ndarray,
-    seed: int,
-) -> tuple[Settled, Evidence, Observation]:
-    """The likeliest of the candidates and, where density is in doubt, of the dips around them, on
-    all pixels of ``seen``; flat areas are counted once in the end."""
-    if len(candidates) == 1:
-        settled, tangent, counted = counted_once(candidates[0], model, seen, free, held, [])
-        at = evidence(settled, tangent, counted)
-        if not (model.banded and in_doubt(settled, at, model, free)):
-            return settled, at, counted
-        candidates = [settled.coordinates]
-        # The derivatives of every pixel would only fill the memory.
-        del tangent
-    settled, tangent = max(
-        (settle(z, model, seen, free, held) for z in candidates),
-        key=lambda found: found[0].log_likelihood,
-    )
-    at = evidence(settled, tangent, seen)
-    first, known = settled, [tangent]
-    del tangent
-    settled, at = next_dips(settled, at, model, seen, free, held)
-    settled, at = beat_rivals(settled, at, model, picture, seen, free, held, seed)
-    settled, at = beat_distant(settled, at, model, picture, seen, free, held, seed)
-    if settled.sigma > EXPLAINED:
-        return settled, at, seen
-    if settled is not first:
-        known.clear()
-    settled, tangent, counted = counted_once(settled.coordinates, model, seen, free, held, known)
-    return settled, evidence(settled, tangent, counted), counted

@@ -1,23 +1,24 @@
-"""Which way the edge pixels of a mask fall: the target decides.
+"""Edge pixels of a drawn mask whose side is in doubt: the target decides.
 
 A mask drawn without anti-aliasing has, in every edge pixel, the colour of the pixel's centre, and
 where an edge passes near to the centre another renderer may take the other side: vertices are
 snapped to a fraction of a pixel, spheres are polygons. Few pixels are in doubt, but each throws a
 streak across the picture, which no other parameter explains. The light pass is linear in the mask,
-so that the residual, seen as a sum of such streaks, says what the mask held (least squares over the
-edge pixels, one unknown for each).
+so that the residual is a sum of such streaks, and least squares over the edge pixels, one unknown
+for each, recovers the mask.
 """
 
 from __future__ import annotations
 
 import dataclasses
 
-import jax.numpy as jnp
 import numpy as np
 from scipy import sparse
 
 from godfit.inference.observation import Picture
-from godfit.inference.solver import linearise, solve
+from godfit.inference.problem import Problem
+from godfit.inference.solver import solve, tangent_at
+from godfit.inference.strategy import Report, refined_mask, starting_points
 from godfit.io.filters import shrink
 from godfit.io.image import LEVELS
 from godfit.models.mitchell import Mitchell
@@ -28,88 +29,93 @@ from godfit.search import density_minima
 from godfit.search.multigrid import climb
 
 ROUNDS = 4
+"""Rounds of fitting and settling edge pixels, at most: most pictures take two."""
 TRIMS = 4
-PIXELS = 8192
-# Levels that rounding leaves.
-LEAST_NOISE = 0.3
-# Levels that an edge pixel is off by at least where the mask is of the wrong kind.
-MUCH = 1.0
-# Log-odds against a pixel falling the other way, and the share of a pixel by which renderers
-# disagree about where an edge is.
-RARE, TOLERANCE = 3.0, 0.05
-# An edge pixel whose other colour has less of it than this is not in doubt.
+"""Times that pixels crossed by a streak are left out and the rest is solved."""
+TRIMMED_PIXELS = 8192
+"""Pixels of these solves: after the streaks are out, enough are left."""
+ROUNDING_LEVELS = 0.3
+"""Standard deviation of rounding to bytes, in levels."""
+WRONG_MASK = 1.0
+"""Levels that an edge pixel is off by at least where the mask is of the wrong kind."""
+LOG_ODDS = 3.0
+"""Log-odds against a pixel falling the other way."""
+EDGE_TOLERANCE = 0.05
+"""Share of a pixel by which renderers disagree about where an edge is."""
 LEAST_SHARE = 0.1
-# Taps that read from so near the light (as a share of the ray) say nothing of single texels.
+"""Share of an edge pixel that its other colour must have to be in doubt."""
 NEAR_LIGHT = 0.05
+"""Share of the ray next to the light whose taps spread single texels over too many pixels."""
 
 
-def agreed(
-    picture: Picture,
-    scene: Scene,
-    model: Mitchell,
-    begun: list[np.ndarray],
-    free: np.ndarray,
-    held: np.ndarray,
-    seed: int,
+@refined_mask.register
+def settled_edges(
+    model: Mitchell, problem: Problem, scene: Scene, given: dict[str, float], report: Report
 ) -> Picture:
-    """The picture with the scene's mask as the target has it: anti-aliased, or hard with the edge
-    pixels on the side that the target says. ``picture`` has the hard mask."""
-    if not free.any():
+    """The picture with the scene's mask that agrees with the target: anti-aliased, or hard with
+    each edge pixel on the side that the target supports. The ``problem`` has the hard mask."""
+    picture = problem.picture
+    if scene.antialias:
         return picture
-    point = climb(picture.small, model, begun, free, held, seed, lambda text: None).coordinates
-    smooth = dataclasses.replace(picture, mask=drawn_mask(scene, True))
-    z = _sharp(picture, model, point, free, held, seed)
+    report("edge pixels")
+    if not problem.free.any():
+        return picture
+    begun = starting_points(problem, given)
+    start = climb(problem.small, begun, lambda text: None).coordinates
+    smooth = problem.replaced(picture=dataclasses.replace(picture, mask=drawn_mask(scene, True)))
+    z = _sharp(problem, start)
     if scene.antialias is None:
-        soft = _sharp(smooth, model, point, free, held, seed)
+        soft = _sharp(smooth, start)
         hard_off, soft_off = (
-            np.abs(_residual(mask, model, at, held)).max(-1)
-            for mask, at in ((picture, z), (smooth, soft))
+            np.abs(_residual(drawn, at)).max(-1) for drawn, at in ((problem, z), (smooth, soft))
         )
         # The wrong mask is off at every edge pixel, the right one at the doubtful few.
-        much = max(4 * min(float(np.median(hard_off)), float(np.median(soft_off))), MUCH)
+        much = max(4 * min(float(np.median(hard_off)), float(np.median(soft_off))), WRONG_MASK)
         if np.count_nonzero(soft_off > much) < np.count_nonzero(hard_off > much):
-            return smooth
+            return smooth.picture
     if model.convention.box:
         return picture
-    doubt = _Doubt.of(np.atleast_3d(picture.mask), np.atleast_3d(smooth.mask))
+    doubt = _Doubt.of(np.atleast_3d(picture.mask), np.atleast_3d(smooth.picture.mask))
     for _ in range(ROUNDS):
-        z, _ = _off_streaks(picture, model, z, free, held, seed)
-        mask = doubt.settled(picture, model, z, free, held).reshape(picture.mask.shape)
+        picture = problem.picture
+        z, _ = _off_streaks(problem, z)
+        mask = doubt.settled(problem, z).reshape(picture.mask.shape)
         if (mask == picture.mask).all():
             break
-        picture = dataclasses.replace(picture, mask=mask)
-    return picture
+        problem = problem.replaced(picture=dataclasses.replace(picture, mask=mask))
+    return problem.picture
 
 
-def _sharp(
-    picture: Picture, model: Mitchell, z: np.ndarray, free: np.ndarray, held: np.ndarray, seed: int
-) -> np.ndarray:
-    """Coordinates in the right dip of density, by the pixels that no streak crosses."""
-    z, like_most = _off_streaks(picture, model, z, free, held, seed)
+def _sharp(problem: Problem, start: np.ndarray) -> np.ndarray:
+    """Coordinates in the right minimum of density, from the pixels that no streak crosses."""
+    picture = problem.picture
+    z, like_most = _off_streaks(problem, start)
     trimmed = dataclasses.replace(picture, valid=picture.valid & like_most)
-    return density_minima.on_subset(trimmed, model, z, free, held, seed, lambda text: None)[0]
+    problem = problem.replaced(picture=trimmed)
+    return density_minima.on_subset(problem, z, lambda text: None)[0]
 
 
-def _off_streaks(
-    picture: Picture, model: Mitchell, z: np.ndarray, free: np.ndarray, held: np.ndarray, seed: int
-) -> tuple[np.ndarray, np.ndarray]:
+def _off_streaks(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates from pixels that no streak crosses, those whose residual is like most; and
     (h, w) which these are."""
-    pixels = picture.informative(PIXELS, seed)
+    picture = problem.picture
+    pixels = picture.informative(TRIMMED_PIXELS, problem.seed)
     like_most = picture.valid
     for _ in range(TRIMS):
-        off = np.abs(_residual(picture, model, z, held)).max(-1)
-        like_most = off <= max(4 * float(np.median(off.reshape(-1)[pixels])), 2 * LEAST_NOISE)
+        off = np.abs(_residual(problem, z)).max(-1)
+        usual = 4 * float(np.median(off.reshape(-1)[pixels]))
+        like_most = off <= max(usual, 2 * ROUNDING_LEVELS)
         kept = pixels[like_most.reshape(-1)[pixels]]
         # As many as before, so that nothing is compiled anew.
-        seen = picture.observe(np.sort(np.resize(kept, len(pixels))))
-        z = solve(z, free, held, model, seen, LEAST_NOISE).coordinates
+        observation = picture.observe(np.sort(np.resize(kept, len(pixels))))
+        z = solve(z, problem, observation, ROUNDING_LEVELS).coordinates
     return z, like_most
 
 
-def _residual(picture: Picture, model: Mitchell, z: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """(h, w, c) target minus fitted in levels, 0 where it says nothing."""
-    fitted = picture.rendered(model.moved(jnp.asarray(z), jnp.asarray(held)))
+def _residual(problem: Problem, z: np.ndarray) -> np.ndarray:
+    """(h, w, c) target minus fitted in levels, 0 where it is not known."""
+    picture = problem.picture
+    fitted = picture.rendered(problem.at(z))
     known = picture.valid & ~picture.clipped
     return np.where(known[..., None], picture.levels - fitted, 0.0)
 
@@ -146,38 +152,37 @@ class _Doubt:
         keep = most > LEAST_SHARE
         return _Doubt(hard, rows[keep], columns[keep], change[keep], most[keep])
 
-    def settled(
-        self, picture: Picture, model: Mitchell, z: np.ndarray, free: np.ndarray, held: np.ndarray
-    ) -> np.ndarray:
-        """The mask (h, w, c) with every pixel in doubt on the side that the residual asks for."""
-        fitted = model.moved(jnp.asarray(z), jnp.asarray(held))
-        residual = _residual(picture, model, z, held)
+    def settled(self, problem: Problem, z: np.ndarray) -> np.ndarray:
+        """The mask (h, w, c) with every pixel in doubt on the side that the residual supports."""
+        picture, fitted = problem.picture, problem.at(z)
+        assert isinstance(fitted, Mitchell)
+        residual = _residual(problem, z)
         channels, size = residual.shape[-1], self.hard.shape[:2]
-        # Where the target or the picture is clipped, streaks are not to be seen.
-        seen = picture.valid & ~picture.clipped
-        seen &= (picture.rendered(fitted) < LEVELS).all(-1)
-        seen = shrink(seen.astype(np.float32), size).reshape(-1, 1) == 1
-        residual = np.where(seen, shrink(residual, size).reshape(-1, channels), 0.0)
-        streaks = sparse.csr_array(self._streaks(fitted) * seen)
+        # Where the target or the picture is clipped, streaks are not visible.
+        shows = picture.valid & ~picture.clipped
+        shows &= (picture.rendered(fitted) < LEVELS).all(-1)
+        shows = shrink(shows.astype(np.float32), size).reshape(-1, 1) == 1
+        residual = np.where(shows, shrink(residual, size).reshape(-1, channels), 0.0)
+        streaks = sparse.csr_array(self._streaks(fitted) * shows)
         now = np.atleast_3d(picture.mask)[self.rows, self.columns]
         taken = ((now - self.hard[self.rows, self.columns]) * self.change).sum(-1)
         taken = taken / (self.change**2).sum(-1)
         # What the residual would be if no pixel had fallen the other way.
         residual = residual + streaks @ (taken[:, None] * self.change)
-        noise = max(LEAST_NOISE, 1.5 * float(np.median(np.abs(residual))))
+        noise = max(ROUNDING_LEVELS, 1.5 * float(np.median(np.abs(residual))))
         gram = (streaks.T @ streaks).toarray() * (self.change @ self.change.T)
         pull = ((streaks.T @ residual) * self.change).sum(-1)
         # The other parameters give way: what they can explain is no streak.
-        slopes = self._slopes(picture, model, z, free, held) * seen[..., None]
+        slopes = self._slopes(problem, z) * shows[..., None]
         cross = np.einsum("kcp,kc->kp", self._gather(streaks, slopes), self.change)
         inner = np.einsum("mcp,mcq->pq", slopes, slopes)
         give = np.linalg.lstsq(inner, cross.T, rcond=1e-6)[0]
         gram -= cross @ give
         pull -= np.einsum("mcp,mc->p", slopes, residual) @ give
-        # Before it is looked at, a pixel has not fallen, give or take one half.
+        # The prior: a pixel has not fallen, give or take one half.
         part = np.linalg.solve(gram + 4 * noise**2 * np.eye(len(pull)), pull)
         evidence = (2 * part - 1) * np.diag(gram) / (2 * noise**2)
-        fallen = evidence > RARE + (1 - 2 * self.share) / (2 * TOLERANCE)
+        fallen = evidence > LOG_ODDS + (1 - 2 * self.share) / (2 * EDGE_TOLERANCE)
         mask = self.hard.copy()
         mask[self.rows, self.columns] += fallen[:, None] * self.change
         return mask
@@ -188,12 +193,11 @@ class _Doubt:
         flat = streaks.T @ slopes.reshape(len(slopes), -1)
         return flat.reshape(-1, *slopes.shape[1:])
 
-    def _slopes(
-        self, picture: Picture, model: Mitchell, z: np.ndarray, free: np.ndarray, held: np.ndarray
-    ) -> np.ndarray:
+    def _slopes(self, problem: Problem, z: np.ndarray) -> np.ndarray:
         """(h w, c, p) derivatives of the light pass's pixels by the free coordinates, scaled."""
+        picture, free = problem.picture, problem.free
         everywhere = picture.observe(np.arange(picture.size[0] * picture.size[1]))
-        slopes = np.asarray(linearise(z, held, model.scales(z), model, everywhere)[1])[free].T
+        slopes = tangent_at(z, problem, everywhere).jacobian[free].T
         slopes = slopes.reshape(*picture.size, -1)
         slopes = shrink(slopes, self.hard.shape[:2])
         return slopes.reshape(-1, picture.channels, int(free.sum())).astype(np.float64)

@@ -1,76 +1,81 @@
 """From starting points to the neighbourhood of the best fit, on a few thousand pixels.
 
-Coarse to fine: target and mask are blurred by the same amount, the blur is lowered in steps, and
-starts that fall behind are dropped.
+Coarse to fine: target and mask are blurred by the same amount, the blur is lowered in stages, and
+iterates that fall behind are dropped.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
+from godfit.inference.distinct import distinct
 from godfit.inference.observation import Observation, Picture
+from godfit.inference.problem import Problem
 from godfit.inference.solver import Point, solve
-from godfit.models.base import AbstractModel
+from godfit.inference.strategy import COARSE_TO_FINE, Report, Stage, trading
 from godfit.runtime.parallel import parallel_imap
 
-# What is blurred needs fewer.
 BLURRED_PIXELS = 256
-# Blur (as a share of the longer side), starts kept, sigma in levels.
-LADDER = ((1 / 64, 3, 4.0), (1 / 128, 2, 2.0), (1 / 256, 1, 1.0), (1 / 512, 1, 1.0))
-ALL = 6
-# Where starts are good enough: none is blurred.
-SHARP = ((0.0, 1, 1.0),)
+"""Pixels of a blurred stage: neighbours agree there, so that more would add little."""
+ALL_STARTS = 6
+"""Iterates kept where the sum leaves no bands: all are cheap to follow there, and the best one may
+fall behind at first."""
+SHARP_SIGMA = 0.3
+"""Noise of the last, sharp solve, in levels: about that of rounding to bytes."""
+SAME_COST = 0.01
+"""Relative difference of costs below which two iterates may be the same."""
+SAME_RELATIVE = 0.05
+SAME_ABSOLUTE = 0.03
+"""Differences of coordinates below which two iterates are the same, relative and absolute."""
 
 
 def climb(
-    picture: Picture,
-    model: AbstractModel,
+    problem: Problem,
     starts: list[np.ndarray],
-    free: np.ndarray,
-    held: np.ndarray,
-    seed: int,
-    report: Callable[[str], None],
-    ladder: Sequence[tuple[float, int, float]] = LADDER,
+    report: Report,
+    *,
+    stages: Sequence[Stage] = COARSE_TO_FINE,
     views: Iterable[Observation] = (),
 ) -> Point:
-    """The best of ``starts`` after the ladder of blurs; ``views`` are the picture's, if known."""
-    views = iter(views or blurred_views(picture, seed, ladder))
+    """The best of ``starts`` after all stages; ``views`` are the picture's, if they are at hand."""
+    views = iter(views or blurred_views(problem.picture, problem.seed, stages))
+    size = max(problem.picture.size)
     points = [Point(start, np.inf, False, 0) for start in starts]
-    for share, keep, sigma in ladder:
-        seen = next(views)
-        report(f"{len(points)} starts, blur of {share * max(picture.size):.1f} pixels")
+    for stage in stages:
+        observation = next(views)
+        report(f"{len(points)} starts, blur of {stage.blur * size:.1f} pixels")
         points = [
-            solve(p.coordinates, free, held, model, seen, sigma, bounded=False) for p in points
+            solve(p.coordinates, problem, observation, stage.sigma, bounded=False) for p in points
         ]
         points.sort(key=lambda p: p.cost)
-        # Without bands all starts are cheap to follow, and the right one may fall behind at first.
-        points = _distinct(points)[: keep if model.banded else ALL]
+        points = _distinct(points, problem)[: stage.keep if problem.model.banded else ALL_STARTS]
     (sharp,) = views
-    points = [solve(p.coordinates, free, held, model, sharp, 0.3) for p in points]
+    points = [solve(p.coordinates, problem, sharp, SHARP_SIGMA) for p in points]
     return min(points, key=lambda p: p.cost)
 
 
 def blurred_views(
-    picture: Picture, seed: int, ladder: Sequence[tuple[float, int, float]] = LADDER
+    picture: Picture, seed: int, stages: Sequence[Stage] = COARSE_TO_FINE
 ) -> Iterator[Observation]:
-    """A few pixels of the picture for every blur of the ladder, and the same ones sharp; while one
-    is used, those to come are made."""
+    """A few pixels of the picture at the blur of every stage, and the same ones sharp; the next is
+    made while one is used."""
     pixels = picture.informative(BLURRED_PIXELS, seed)
-    blurs = [share * max(picture.size) for share, _, _ in ladder]
+    blurs = [stage.blur * max(picture.size) for stage in stages]
     return parallel_imap(lambda blur: picture.observe(pixels, blur), [*blurs, 0.0])
 
 
-def _distinct(points: list[Point]) -> list[Point]:
-    """Points, cheapest first, that have not run into a cheaper one; where the picture leaves a
-    coordinate open, such points agree in cost and in the places they put the light and density."""
-    kept: list[Point] = []
-    for p in points:
-        if not any(
-            abs(p.cost - q.cost) < 0.01 * q.cost
-            and np.allclose(p.coordinates[2:], q.coordinates[2:], rtol=0.05, atol=0.03)
-            for q in kept
-        ):
-            kept.append(p)
-    return kept
+def _distinct(points: list[Point], problem: Problem) -> list[Point]:
+    """Points, cheapest first, that have not run into a cheaper one.
+
+    Where coordinates trade, such points agree in cost and in all other coordinates.
+    """
+    compared = ~np.isin(problem.names, trading(problem.model))
+
+    def same(p: Point, q: Point) -> bool:
+        return abs(p.cost - q.cost) < SAME_COST * q.cost and np.allclose(
+            p.coordinates[compared], q.coordinates[compared], rtol=SAME_RELATIVE, atol=SAME_ABSOLUTE
+        )
+
+    return distinct(points, same)

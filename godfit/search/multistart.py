@@ -1,4 +1,4 @@
-"""Other starts and other readings of the images, where what is left of a fit is not noise."""
+"""Other starts and other interpretations of the images, where the residual of a fit is not noise."""
 
 from __future__ import annotations
 
@@ -14,129 +14,130 @@ from godfit.inference.fitted import Found
 from godfit.inference.information import evidence, misfit
 from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.observation import Picture
-from godfit.inference.problem import PIXELS
+from godfit.inference.problem import PIXELS, Problem
 from godfit.inference.settle import Settled, settle
+from godfit.inference.strategy import Report, trading
 from godfit.io.filters import grey
 from godfit.search import multigrid
 from godfit.search.density_minima import HOPELESS
 
-# Coordinates in which starts that agree have ended: density and the light, to this.
-NEAR = 0.02
-# What another reading of the images must leave of the misfit on a small copy.
+SAME_END = 0.02
+"""Distance of coordinates (density, shares of the picture) within which two fits ended alike."""
 REMEDIED = 0.5
-# Pixels by which mask and target may be shifted against each other, and within which edges lie.
-REACH, FINE = 6, 2.0
+"""Share of the noise, on a small copy, that another interpretation must leave at most."""
+MAX_SHIFT = 6
+"""Pixels by which mask and target may be shifted against each other, at most."""
+FINE_DETAIL = 2.0
+"""Standard deviation in pixels of the Gaussian that is subtracted to leave edges."""
+
+Starts = Callable[[Picture], list[np.ndarray]]
+"""Starting points for a picture."""
 
 
 def doubtful(found: Found) -> bool:
-    """Whether what is left is more than rounding and unlike noise."""
+    """Whether the residual is more than rounding and unlike noise."""
     if found.settled.sigma <= 2 * WITHIN_ROUNDING:
         return False
-    return not misfit(found.at.prediction, found.seen).like_noise
+    return not misfit(found.evidence.prediction, found.observation).like_noise
 
 
-def again(found: Found, starts: list[np.ndarray], seed: int, say: Callable[[str], None]) -> Found:
-    """The likelier of the fit and what each of ``starts``, climbed from on its own, leads to; with
-    how many of them ended where it is."""
-    model, picture, free, held = found.model, found.picture, found.free, found.held
-    seen = picture.observe(picture.informative(PIXELS, seed))
-    own, _ = settle(found.settled.coordinates, model, seen, free, held)
+def again(found: Found, starts: list[np.ndarray], report: Report) -> Found:
+    """The likelier of the fit and what each of ``starts``, alone, leads to; with how many of them
+    ended where it is."""
+    problem = found.problem
+    observation = problem.observe(PIXELS)
+    own, _ = settle(found.settled.coordinates, problem, observation)
     ends, best = [], own
     for start in starts:
-        say("other starts")
-        point = multigrid.climb(picture.small, model, [start], free, held, seed, lambda _: None)
-        end, _ = settle(point.coordinates, model, seen, free, held)
+        report("other starts")
+        point = multigrid.climb(problem.small, [start], lambda text: None)
+        end, _ = settle(point.coordinates, problem, observation)
         ends.append(end.coordinates)
         if end.log_likelihood > best.log_likelihood:
             best = end
     if best is not own:
-        settled, tangent = settle(best.coordinates, model, found.seen, free, held)
+        settled, tangent = settle(best.coordinates, problem, found.observation)
         if settled.log_likelihood > found.settled.log_likelihood + 1:
-            at = evidence(settled, tangent, found.seen)
-            found = dataclasses.replace(found, settled=settled, at=at)
-    here = found.settled.coordinates[2:]
-    agreed = sum(bool(np.all(np.abs(end[2:] - here) < NEAR)) for end in ends)
-    return dataclasses.replace(found, starts_agreed=(agreed, len(ends)))
+            at = evidence(settled, tangent, found.observation)
+            found = found.replaced(settled=settled, evidence=at)
+    compared = ~np.isin(problem.names, trading(problem.model))
+    here = found.settled.coordinates[compared]
+    agreed = sum(bool(np.all(np.abs(end[compared] - here) < SAME_END)) for end in ends)
+    return found.replaced(starts_agreed=(agreed, len(ends)))
 
 
-def remedy(
-    found: Found, begin: Callable[[Picture], list[np.ndarray]], seed: int
-) -> diagnostics.Suspect | None:
-    """What was wrong, if the images, read otherwise, are explained far better: the mask's place or
-    the target's transfer. Fits start from where ``begin`` says."""
+def remedy(found: Found, starts: Starts) -> diagnostics.Suspect | None:
+    """What was wrong, if another interpretation of the images is explained far better: the mask's
+    place or the target's transfer. Its fits begin at ``starts``."""
     words = ""
-    place = _other_place(found, begin, seed)
-    if place is not None:
-        words = diagnostics.WORDS["moved"].format(down=place[0], right=place[1])
-    elif found.settled.sigma > HOPELESS and _other_transfer(found, begin, seed):
+    shift = _other_place(found.problem, starts)
+    if shift is not None:
+        words = diagnostics.WORDS["moved"].format(down=shift[0], right=shift[1])
+    elif found.settled.sigma > HOPELESS and _other_transfer(found.problem, starts):
         words = diagnostics.WORDS["transfer"]
     return diagnostics.Suspect(1.0, "remedy", words) if words else None
 
 
-def _other_transfer(found: Found, begin: Callable[[Picture], list[np.ndarray]], seed: int) -> bool:
-    """Whether the target, read as sRGB, fits a small copy far better than read as linear. Misfits
-    are both in the target's own levels."""
-    picture = found.picture.small
+def _other_transfer(problem: Problem, starts: Starts) -> bool:
+    """Whether the target, decoded as sRGB, fits a small copy far better than taken as linear.
+    Misfits are both in the target's own levels."""
+    picture = problem.picture.small
     if picture.transfer != "none" or picture.half == 0:
         return False
     linear, coded = (
-        _anew(found, dataclasses.replace(picture, transfer=transfer), begin, seed).sigma
+        _anew(problem.replaced(picture=dataclasses.replace(picture, transfer=transfer)), starts)
         for transfer in ("none", "srgb")
     )
-    return coded < REMEDIED * linear
+    return coded.sigma < REMEDIED * linear.sigma
 
 
-def _other_place(
-    found: Found, begin: Callable[[Picture], list[np.ndarray]], seed: int
-) -> tuple[int, int] | None:
+def _other_place(problem: Problem, starts: Starts) -> tuple[int, int] | None:
     """Pixels, down and to the right, by which the mask must be moved to fit far better; None where
-    no place does. Where the edges of mask and target agree best is tried first, then its neighbours
-    for as long as they are better."""
-    picture = found.picture
-    if picture.mask.shape[:2] != picture.size or min(picture.size) < 4 * REACH:
+    no shift does. The shift at which the edges of mask and target agree best is tried first, then
+    its neighbours for as long as they are better."""
+    picture = problem.picture
+    if picture.mask.shape[:2] != picture.size or min(picture.size) < 4 * MAX_SHIFT:
         return None
 
-    def moved(by: tuple[int, int]) -> Picture:
+    def moved(by: tuple[int, int]) -> Problem:
         mask = ndimage.shift(picture.mask, (*by, 0)[: picture.mask.ndim], order=0, mode="nearest")
-        return picture.with_mask(mask)
+        return problem.replaced(picture=picture.with_mask(mask)).small
 
-    here = _anew(found, picture.small, begin, seed).sigma
-    place = edges_agree(grey(picture.levels), grey(picture.mask))
-    best = _anew(found, moved(place).small, begin, seed)
-    tried = {place}
+    here = _anew(problem.small, starts).sigma
+    shift = edges_agree(grey(picture.levels), grey(picture.mask))
+    best = _anew(moved(shift), starts)
+    tried = {shift}
     while best.sigma < here:
-        around = {(place[0] + i, place[1] + j) for i in (-1, 0, 1) for j in (-1, 0, 1)} - tried
+        around = {(shift[0] + i, shift[1] + j) for i in (-1, 0, 1) for j in (-1, 0, 1)} - tried
         tried |= around
-        ends = {by: _settled(found, moved(by).small, best.coordinates, seed) for by in around}
-        nearest = min(ends, key=lambda by: ends[by].sigma, default=place)
-        if nearest == place or ends[nearest].sigma >= best.sigma:
+        ends = {by: _settled(moved(by), best.coordinates) for by in around}
+        nearest = min(ends, key=lambda by: ends[by].sigma, default=shift)
+        if nearest == shift or ends[nearest].sigma >= best.sigma:
             break
-        place, best = nearest, ends[nearest]
-    return place if place != (0, 0) and best.sigma < REMEDIED * here else None
+        shift, best = nearest, ends[nearest]
+    return shift if shift != (0, 0) and best.sigma < REMEDIED * here else None
 
 
-def _anew(found: Found, read: Picture, begin: Callable[[Picture], list[np.ndarray]], seed: int):
-    """The fit of ``read`` from where its own search begins."""
-    starts = begin(read)
-    point = multigrid.climb(read, found.model, starts, found.free, found.held, seed, lambda _: None)
-    return _settled(found, read, point.coordinates, seed)
+def _anew(problem: Problem, starts: Starts) -> Settled:
+    """The fit of the problem from the starts of its own picture."""
+    point = multigrid.climb(problem, starts(problem.picture), lambda text: None)
+    return _settled(problem, point.coordinates)
 
 
-def _settled(found: Found, read: Picture, start: np.ndarray, seed: int) -> Settled:
-    seen = read.observe(read.informative(PIXELS, seed))
-    return settle(start, found.model, seen, found.free, found.held)[0]
+def _settled(problem: Problem, start: np.ndarray) -> Settled:
+    return settle(start, problem, problem.observe(PIXELS))[0]
 
 
 def edges_agree(target: np.ndarray, mask: np.ndarray) -> tuple[int, int]:
-    """The shift of ``mask`` (h, w), at most REACH pixels either way, by which its fine detail is
+    """The shift of ``mask`` (h, w), at most MAX_SHIFT pixels either way, by which its fine detail is
     correlated most with that of ``target`` (h, w)."""
-    inner = (slice(REACH, -REACH),) * 2
-    fine = [z - ndimage.gaussian_filter(z, FINE) for z in (target, mask)]
+    inner = (slice(MAX_SHIFT, -MAX_SHIFT),) * 2
+    fine = [z - ndimage.gaussian_filter(z, FINE_DETAIL) for z in (target, mask)]
 
     def agreement(by: tuple[int, int]) -> float:
         moved = np.roll(fine[1], by, (0, 1))[inner]
         size = np.sqrt((moved**2).sum())
         return float((fine[0][inner] * moved).sum() / max(size, 1e-30))
 
-    reach = range(-REACH, REACH + 1)
+    reach = range(-MAX_SHIFT, MAX_SHIFT + 1)
     return max(itertools.product(reach, reach), key=agreement)

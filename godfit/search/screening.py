@@ -9,6 +9,7 @@ shared by all attenuations and densities, which are weights along them.
 from __future__ import annotations
 
 import itertools
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -18,6 +19,8 @@ from jaxtyping import Array, Float
 from scipy import ndimage
 
 from godfit.inference.observation import Picture
+from godfit.inference.strategy import starts, trading
+from godfit.inference.variable_projection import nonnegative_two
 from godfit.io.filters import grey, shrink
 from godfit.io.image import LEVELS, decode
 from godfit.models.mitchell import Mitchell
@@ -28,6 +31,8 @@ from godfit.scattering.radial.nearest import GRID_DENSITIES, RAY_STEPS, read_ray
 
 SIZE = 64
 POINTS = 512
+# Groups of lights that are grown by one more light.
+GROUPS = 48
 # Lights drawn where it is bright: so many that all lights are an even number.
 SPOTS = 65
 KAPPAS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 7.0, 11.0, 18.0, 30.0)
@@ -67,33 +72,35 @@ def _box_rays(
     return lax.map(one, light)
 
 
+class _View(NamedTuple):
+    """The points (n,) of the small copy that are compared: the mask at the pixel itself, the light
+    pass of the target, and whether that counts."""
+
+    own: np.ndarray
+    target: np.ndarray
+    weight: np.ndarray
+
+
 @cached_jit
-def _solve(rays, shapes, own, target, weight):
+def _solve(rays, shapes, view):
     """Exposure and gain, neither negative, and the cost, for every light and shape.
 
-    rays (lights, steps, points), shapes (shapes, steps), own, target, weight (points,).
+    ``rays`` (lights, steps, points), ``shapes`` (shapes, steps); ``view`` as in ``_View``.
     """
+    own, target, weight = view
 
     def one(rays):
         s = shapes @ rays
         wt, wo = weight * target, weight * own
-        tt, to, oo = wt @ target, wt @ own, wo @ own
-        ts, os, ss = s @ wt, s @ wo, (s * s) @ weight
-        tiny = 1e-12 * (1 + tt)
-        determinant = oo * ss - os * os
-        regular = determinant > 1e-6 * oo * ss
-        e = jnp.where(regular, (to * ss - ts * os) / jnp.where(regular, determinant, 1.0), 0.0)
-        g = (ts - jnp.maximum(e, 0) * os) / jnp.maximum(ss, tiny)
-        e = jnp.where(g < 0, to / jnp.maximum(oo, tiny), jnp.maximum(e, 0.0))
-        g = jnp.maximum(g, 0.0)
-        cost = tt - 2 * (e * to + g * ts) + e * e * oo + 2 * e * g * os + g * g * ss
-        return e, g, cost
+        products, squares = (wt @ own, s @ wt), (wo @ own, (s * s) @ weight)
+        return nonnegative_two(wt @ target, products, squares, s @ wo)
 
     return lax.map(one, rays)
 
 
-def starts(
-    picture: Picture, model: Mitchell, given: dict[str, float], *, keep: int, seed: int
+@starts.register
+def mitchell_starts(
+    model: Mitchell, picture: Picture, given: dict[str, float], *, keep: int, seed: int
 ) -> list[np.ndarray]:
     """The ``keep`` best starting points in the model's coordinates, best first.
 
@@ -135,15 +142,16 @@ def starts(
         def read(spots):
             return read_rays(on_device(fine), on_device(spots), on_device(at))
 
+    view = _View(own, goal, trust)
     groups = np.arange(len(places))[:, None]
     if lights > 1:
         rays, required = read(places), tuple(range(len(told)))
-        groups = _best_groups(rays, along, own, goal, trust, lights, required)
+        groups = _best_groups(rays, along, view, lights, required)
         groups = np.array([_in_order(group, places, told) for group in groups])
         rays = rays[jnp.asarray(groups)].sum(1)
-        e, g, cost = (np.asarray(z) for z in _solve(rays, along, own, goal, trust))
+        e, g, cost = (np.asarray(z) for z in _solve(rays, along, view))
     else:
-        e, g, cost = map_halves(lambda spots: _solve(read(spots), along, own, goal, trust), places)
+        e, g, cost = map_halves(lambda spots: _solve(read(spots), along, view), places)
     spots = places[groups].reshape(len(groups), -1)
     found = []
     for i, j in apart(cost, spots, shapes, keep):
@@ -157,6 +165,11 @@ def starts(
         start = np.array([exposure, *shapes[j], max(gain, 1e-4), *spots[i]], np.float32)
         found.append(_with_given(model, start, given))
     return found
+
+
+@trading.register
+def _(model: Mitchell) -> tuple[str, ...]:
+    return "exposure", "decay"
 
 
 def _with_given(model: Mitchell, start: np.ndarray, given: dict[str, float]) -> np.ndarray:
@@ -246,20 +259,17 @@ def apart(
     return kept
 
 
-def _best_groups(rays, along, own, target, weight, lights, required, groups=48):
+def _best_groups(rays, along, view, lights, required):
     """Groups of lights, grown one light at a time from the cheapest."""
     start = [required]
     for size in range(len(required) + 1, lights + 1):
         grown = sorted({(*g, i) for g in start for i in range(len(rays)) if i not in g})
         grown = list({frozenset(g): g for g in grown}.values())
         costs = []
+        scaled = view._replace(own=view.own * size / lights)
         for batch in range(0, len(grown), 256):
             index = np.array(grown[batch : batch + 256])
-            costs.append(
-                np.asarray(
-                    _solve(rays[index].sum(1), along, own * size / lights, target, weight)[2]
-                ).min(1)
-            )
-        order = np.argsort(np.concatenate(costs))[:groups]
+            costs.append(np.asarray(_solve(rays[index].sum(1), along, scaled)[2]).min(1))
+        order = np.argsort(np.concatenate(costs))[:GROUPS]
         start = [grown[i] for i in order]
     return np.array(start)

@@ -7,6 +7,7 @@ pixels; the sun's irradiance enters linearly and is solved for exactly.
 from __future__ import annotations
 
 import itertools
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,6 +18,8 @@ from jaxtyping import Array, Float
 from scipy import ndimage
 
 from godfit.inference.observation import Picture
+from godfit.inference.strategy import starts, trading
+from godfit.inference.variable_projection import nonnegative_one
 from godfit.io.filters import grey, shrink
 from godfit.io.image import LEVELS, decode
 from godfit.models.atmosphere import zenith_angle
@@ -28,33 +31,40 @@ POINTS = 256
 TURBIDITIES, LOBES, DEPTHS = (1.3, 2.5, 6.0), (0.0, 0.5, 0.75, 0.9), (0.05, 0.4, 1.2, 3.0)
 
 
+class _Points(NamedTuple):
+    """What is known at the points of the screen: along the view from each its distance and
+    direction, the ordinary pass, the target, and whether that counts."""
+
+    distance: Float[Array, " points"]
+    direction: Float[Array, "points 3"]
+    surface: Float[Array, "points 3"]
+    target: Float[Array, "points 3"]
+    weight: Float[Array, " points"]
+
+
 @eqx.filter_jit
 def _solve(
     model: HoffmanPreetham,
     suns: Float[Array, "suns 2"],
     shapes: Float[Array, "shapes 3"],
     lit: Float[Array, "suns points"],
-    distance: Float[Array, " points"],
-    direction: Float[Array, "points 3"],
-    surface: Float[Array, "points 3"],
-    target: Float[Array, "points 3"],
-    weight: Float[Array, " points"],
+    points: _Points,
     aspect: float,
 ):
     """Gain, not negative, and cost for every sun and shape (depth, turbidity, g)."""
-    up, trust = model.view.up, weight[:, None]
+    up, trust = model.view.up, points.weight[:, None]
 
     def one(sun_lit):
         sun, lit = sun_lit
         ahead = model.view.direction(sun[0], sun[1], aspect)
-        cos, zenith = direction @ ahead, zenith_angle(ahead, up)
+        cos, zenith = points.direction @ ahead, zenith_angle(ahead, up)
 
         def shape(z):
             air = model.moved(jnp.concatenate([jnp.ones(1, z.dtype), z, sun])).air
-            added = lit[:, None] * air.inscattered(distance, cos, zenith)
-            left = target - lit[:, None] * surface * air.transmitted(distance)
+            added = lit[:, None] * air.inscattered(points.distance, cos, zenith)
+            left = points.target - lit[:, None] * points.surface * air.transmitted(points.distance)
             along, size = (trust * added * left).sum(), (trust * added**2).sum()
-            gain = jnp.maximum(along, 0) / jnp.maximum(size, 1e-12)
+            gain = nonnegative_one(along, size)
             return gain, (trust * (left - gain * added) ** 2).sum()
 
         return jax.vmap(shape)(shapes)
@@ -62,8 +72,9 @@ def _solve(
     return lax.map(one, (suns, lit))
 
 
-def starts(
-    picture: Picture, model: HoffmanPreetham, given: dict[str, float], *, keep: int, seed: int
+@starts.register
+def daylight_starts(
+    model: HoffmanPreetham, picture: Picture, given: dict[str, float], *, keep: int, seed: int
 ) -> list[np.ndarray]:
     """The ``keep`` best starting points in the model's coordinates, best first; see
     ``screen.starts``."""
@@ -88,12 +99,13 @@ def starts(
     lit = read_rays(jnp.asarray(fine), jnp.asarray(suns), jnp.asarray(at)).mean(1)
     shapes = _shapes(model, given)
     distance, direction = model.view.seen((h, w), jnp.asarray(chosen))
-    gain, cost = _solve(
-        model, jnp.asarray(suns), jnp.asarray(shapes), lit, distance, direction,
-        jnp.asarray(surface), jnp.asarray(target.reshape(h * w, -1)[chosen]),
+    points = _Points(
+        distance, direction, jnp.asarray(surface),
+        jnp.asarray(target.reshape(h * w, -1)[chosen]),
         jnp.asarray(trust.ravel()[chosen].astype(np.float32)),
-        picture.size[1] / picture.size[0],
     )  # fmt: skip
+    aspect = picture.size[1] / picture.size[0]
+    gain, cost = _solve(model, jnp.asarray(suns), jnp.asarray(shapes), lit, points, aspect)
     gain, cost = np.asarray(gain), np.asarray(cost)
     held = np.array([given.get(name, np.nan) for name in model.parameters], np.float32)
     found = []
@@ -102,6 +114,11 @@ def starts(
         z = np.asarray(model.moved(jnp.asarray(z), jnp.asarray(held)).coordinates(), np.float32)
         found.append(z)
     return found
+
+
+@trading.register
+def _(model: HoffmanPreetham) -> tuple[str, ...]:
+    return "e_sun", "scale"
 
 
 def _shapes(model: HoffmanPreetham, given: dict[str, float]) -> np.ndarray:

@@ -18,7 +18,7 @@ import numpy as np
 
 from godfit.blind import unaided
 from godfit.errors import InputError
-from godfit.inference.estimates import estimates
+from godfit.inference.estimates import Solution, estimates
 from godfit.inference.fitted import Found
 from godfit.inference.problem import given_and_held
 from godfit.io.filters import shrink
@@ -132,9 +132,9 @@ def _small(image: Image) -> np.ndarray:
 
 
 def _answer(name: str, found: Found) -> _Answer:
-    assert isinstance(found.model, DiscLight)
-    z, held = found.settled.coordinates, np.asarray(found.held, np.float32)
-    at, slopes = (np.asarray(a, np.float64) for a in _of_the_shader(found.model, z, held))
+    assert isinstance(found.problem.model, DiscLight)
+    z, held = found.settled.coordinates, np.asarray(found.problem.held, np.float32)
+    at, slopes = (np.asarray(a, np.float64) for a in _of_the_shader(found.problem.model, z, held))
     open_ = [(index, [i for i in others if i < len(at)]) for index, others in found.opened]
     covariance = slopes @ spread(found).covariance @ slopes.T
     return _Answer(name, at, covariance, open_, found.objection, found.settled.sigma)
@@ -223,7 +223,8 @@ def _concluded(
         held[index] = first.at[index]
     free, used = np.append(told, [False, False]), np.append(shading.used[:SHARED], [False, False])
     z = np.append(pool.mean, first.at[SHARED:])
-    result = estimates(shading, z.astype(np.float32), spread, free, held, open_, used)
+    solution = Solution(z.astype(np.float32), spread, free, held, open_)
+    result = estimates(shading, solution, used)
     frames = tuple(
         Frame(
             a.name,
@@ -269,5 +270,5 @@ def _alone(answer: _Answer, shading: AbstractModel, used: np.ndarray):
     for index, _ in answer.open_:
         held[index] = answer.at[index]
     z = answer.at.astype(np.float32)
-    found = estimates(shading, z, answer.covariance, told, held, answer.open_, used)
+    found = estimates(shading, Solution(z, answer.covariance, told, held, answer.open_), used)
     return found.params, found.combined

@@ -9,7 +9,6 @@ ln(values) for every parameter that the picture determines, the noise among them
 
 from __future__ import annotations
 
-import math
 import os
 import time
 from collections.abc import Callable, Mapping
@@ -21,6 +20,7 @@ import numpy as np
 from godfit.fitting import fit
 from godfit.flatland import inputs as plane
 from godfit.flatland.model import Flatland
+from godfit.inference.criteria import aic, bic
 from godfit.io.sources import Source, read_source
 from godfit.models.hoffman_preetham import HoffmanPreetham
 from godfit.models.mitchell import Mitchell
@@ -106,12 +106,11 @@ def _row(
     known = [e for e in result.params.values() if not e.fixed and e.stderr is not None]
     parameters = len(known) + 1
     values = result.pixels * result.picture.channels
-    cost = -2 * result.log_likelihood
     return Row(
         title,
         result,
         parameters,
-        2 * parameters + cost,
-        parameters * math.log(values) + cost,
+        aic(result.log_likelihood, parameters),
+        bic(result.log_likelihood, parameters, values),
         time.perf_counter() - began,
     )

@@ -10,24 +10,25 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 
-import jax.numpy as jnp
 import numpy as np
 
 from godfit.inference import sample_count
-from godfit.inference import settle as settling
+from godfit.inference.distinct import DOUBT, distinct
 from godfit.inference.information import misfit
 from godfit.inference.noise import EXPLAINED, WITHIN_ROUNDING
 from godfit.inference.observation import Observation
-from godfit.inference.problem import PIXELS, pixels_used
-from godfit.inference.scan import DOUBT
-from godfit.inference.settle import Tangent, settle
+from godfit.inference.problem import PIXELS, Problem, pixels_used
+from godfit.inference.settle import settle, veil
+from godfit.inference.solver import Tangent
+from godfit.inference.strategy import left_open
+from godfit.inference.strategy import starts as starts_of
 from godfit.models.base import AbstractModel
 from godfit.models.mitchell import Mitchell
-from godfit.models.tinted import Tinted
+from godfit.models.tinted import TINT, Tinted
 from godfit.report.result import FitResult
 from godfit.report.select import Rung
 from godfit.runtime.parallel import parallel_map
-from godfit.search import multigrid, screening
+from godfit.search import multigrid
 
 # What DawnTime and Vesper ship, for shaders that publish no defaults.
 SHIPPED = {"decay": 0.99, "density": 0.8, "weight": 0.8}
@@ -44,7 +45,7 @@ class Ladder:
         assert isinstance(base.model, Mitchell)
         self.base, self.shader, self.seed, self.say = base, base.model, seed, say
         self.picture = base.picture
-        self.seen = self.picture.observe(pixels_used(self.picture, seed, VALUES))
+        self.observation = self.picture.observe(pixels_used(self.picture, seed, VALUES))
         self.few = self.picture.observe(self.picture.informative(PIXELS, seed))
         self.views = list(multigrid.blurred_views(self.picture.small, seed))
         published = self.shader.convention.defaults
@@ -75,12 +76,12 @@ class Ladder:
 
         def climbed(step: int) -> list[np.ndarray]:
             starts = [point]
-            if np.array_equal(self._switches(self.shader, given[step])[0], self.base.free):
+            if np.array_equal(self._problem(self.shader, given[step]).free, self.base.free):
                 # This is the fit that the ladder begins with.
                 return starts
             if "light_x" in steps[step][2]:
-                starts += screening.starts(
-                    self.picture.small, self.shader, given[step], keep=2, seed=self.seed
+                starts += starts_of(
+                    self.shader, self.picture.small, given[step], keep=2, seed=self.seed
                 )
             return self._climbed(self.shader, given[step], starts)
 
@@ -125,8 +126,8 @@ class Ladder:
 
     def veil(self) -> Rung:
         """One value everywhere."""
-        settled = settling.veil(self.seen)
-        (level,), count = settled.coordinates, len(self.seen.lo)
+        settled = veil(self.observation)
+        (level,), count = settled.coordinates, len(self.observation.lo)
         prediction, ones = np.full(count, level), np.ones((1, count), np.float32)
         return Rung(
             "veil", "", None, settled, Tangent(prediction, ones, np.ones(1, np.float32)),
@@ -143,7 +144,7 @@ class Ladder:
         )  # fmt: skip
         given = {k: v for k, v in below.values.items() if k not in ("exposure", "weight")}
         starts = [self._coordinates(two)]
-        starts += screening.starts(self.picture.small, two, given, keep=2, seed=self.seed)
+        starts += starts_of(two, self.picture.small, given, keep=2, seed=self.seed)
         extra = below.parameters - 1 - int(below.free.sum())
         starts = self._climbed(two, held, starts)
         rung = self._fitted("+ second light", "a second light", two, held, starts)
@@ -153,33 +154,28 @@ class Ladder:
         model = Tinted(below)
         shown = self.picture.levels.reshape(-1, 3).mean(0) + 1e-3
         z = self._coordinates(model)
-        z[-2:] = shown[[0, 2]] / shown[1]
+        tint = dict(zip([row.name for row in TINT], shown[[0, 2]] / shown[1], strict=True))
+        z = np.array([tint.get(name, at) for name, at in zip(model.parameters, z, strict=True)])
         rung = self._fitted("+ colour", "a light of a colour", model, held, [z])
         return dataclasses.replace(rung, parameters=rung.parameters + extra)
 
     def _climbed(
         self, model: Mitchell, given: Mapping[str, float], starts: list[np.ndarray]
     ) -> list[np.ndarray]:
-        """The first of ``starts``, and what a climb from all of them comes to."""
-        free, held = self._switches(model, given)
-        point = multigrid.climb(
-            self.picture.small, model, starts, free, held, self.seed, lambda text: None,
-            views=self.views,
-        )  # fmt: skip
+        """The first of ``starts``, and where a climb from all of them ends."""
+        problem = self._problem(model, given).small
+        point = multigrid.climb(problem, starts, lambda text: None, views=self.views)
         return [starts[0], point.coordinates]
 
-    def _switches(
-        self, model: AbstractModel, given: Mapping[str, float]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """(p,) which parameters move, and where the ``given`` ones are held."""
+    def _problem(self, model: AbstractModel, given: Mapping[str, float]) -> Problem:
+        """The fit of ``model`` to the picture with the ``given`` parameters held."""
         held = np.array([given.get(n, np.nan) for n in model.parameters], np.float32)
-        free = np.isnan(held) & model.used
-        if isinstance(model, Mitchell | Tinted):
-            shader = model if isinstance(model, Mitchell) else model.shading
-            if not shader.convention.own_pixel and free[0] and free[3]:
-                # Only exposure times weight is shown.
-                held[0], free[0] = float(shader.exposure), False
-        return free, held
+        problem = Problem(model, self.picture, np.isnan(held) & model.used, held, self.seed)
+        shader = model.shading if isinstance(model, Tinted) else model
+        opened = left_open(shader, problem)
+        if opened is None:
+            return problem
+        return problem.holding(opened.name, float(model.values()[opened.name]))
 
     def _fitted(
         self,
@@ -190,32 +186,30 @@ class Ladder:
         starts: list[np.ndarray],
     ) -> Rung:
         """The likeliest point from ``starts`` with parameters ``given`` held."""
-        free, held = self._switches(model, given)
+        problem = self._problem(model, given)
         points = [np.asarray(z, np.float32) for z in starts]
-        points = self._apart(points, free)
+        points = self._apart(points, problem.free)
         if len(points) > 1:
-            # A few values tell which is the best; those that they cannot tell apart go on.
-            ends = parallel_map(
-                lambda z: settle(z, model, self.few, free, held, rounds=4)[0], points
-            )
-            most = max(end.log_likelihood for end in ends)
-            points = [e.coordinates for e in ends if e.log_likelihood > most - DOUBT]
-            points = self._apart(points, free)
+            # A few pixels rank them; those that these cannot tell apart go on.
+            ends = parallel_map(lambda z: settle(z, problem, self.few, rounds=4)[0], points)
+            best = max(end.log_likelihood for end in ends)
+            points = [e.coordinates for e in ends if e.log_likelihood > best - DOUBT]
+            points = self._apart(points, problem.free)
         settled, tangent = max(
-            (settle(z, model, self.seen, free, held) for z in points),
+            (settle(z, problem, self.observation) for z in points),
             key=lambda found: found[0].log_likelihood,
         )
-        fitted = model.moved(jnp.asarray(settled.coordinates), jnp.asarray(held))
-        return Rung(name, shows, fitted, settled, tangent, free, held, int(free.sum()) + 1)
+        free = problem.free
+        return Rung(
+            name, shows, problem.at(settled.coordinates), settled, tangent, free, problem.held,
+            int(free.sum()) + 1,
+        )  # fmt: skip
 
     def _apart(self, points: list[np.ndarray], free: np.ndarray) -> list[np.ndarray]:
         """Those that differ in what is ``free``: the rest is held at the same values in all."""
-        kept: list[np.ndarray] = []
-        for z in points:
-            near = (np.allclose(z[free], k[free], rtol=1e-3) for k in kept)
-            if np.isfinite(z).all() and not any(near):
-                kept.append(z)
-        return kept or points[:1]
+        finite = [z for z in points if np.isfinite(z).all()]
+        apart = distinct(finite, lambda z, k: np.allclose(z[free], k[free], rtol=1e-3))
+        return apart or points[:1]
 
     def _coordinates(self, model: AbstractModel) -> np.ndarray:
         z = np.asarray(model.coordinates(), np.float32)
@@ -223,10 +217,10 @@ class Ladder:
         return np.nan_to_num(z, posinf=1e4)
 
 
-def like_noise(rung: Rung, seen: Observation) -> bool:
+def like_noise(rung: Rung, observation: Observation) -> bool:
     """Whether what the rung leaves may be noise."""
     return rung.settled.sigma < WITHIN_ROUNDING or (
-        misfit(rung.tangent.prediction, seen).like_noise
+        misfit(rung.tangent.prediction, observation).like_noise
     )
 
 

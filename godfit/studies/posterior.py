@@ -22,8 +22,8 @@ from godfit.inference.likelihood import interval
 from godfit.inference.noise import SIGMAS
 from godfit.inference.problem import pixels_used
 from godfit.inference.repeated_values import relieved
-from godfit.inference.settle import Settled, Tangent
-from godfit.inference.solver import linearise
+from godfit.inference.settle import Settled
+from godfit.inference.solver import tangent_at
 from godfit.report.result import FitResult
 
 DRAWS, WARM_UP = 4000, 500
@@ -85,13 +85,13 @@ def posterior(
 
 def _posterior(result: FitResult, draws: int, warm_up: int, seed: int) -> Posterior:
     model, picture, free = result.model, result.picture, np.asarray(result.free)
-    seen = picture.observe(pixels_used(picture, result.seed))
+    problem = result.problem
+    observation = picture.observe(pixels_used(picture, result.seed))
     z = np.asarray(model.coordinates(), np.float32)
-    scale = model.scales(z)
-    prediction, jacobian = linearise(z, result.held, scale, model, seen)
-    tangent = Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
-    seen = relieved(seen, tangent.prediction, result.noise_levels)
-    at = evidence(Settled(z, result.noise_levels, 0.0, True), tangent, seen)
+    tangent = tangent_at(z, problem, observation)
+    scale = tangent.scale
+    observation = relieved(observation, tangent.prediction, result.noise_levels)
+    at = evidence(Settled(z, result.noise_levels, 0.0, True), tangent, observation)
     moving = np.flatnonzero(free)
     covariance = at.covariance(free)[np.ix_(moving, moving)]
     size = np.sqrt(np.diag(covariance))
@@ -106,8 +106,10 @@ def _posterior(result: FitResult, draws: int, warm_up: int, seed: int) -> Poster
     floor = float(SIGMAS[0])
     start = float(np.log(max(result.noise_levels, floor) / floor))
     # What n values know the logarithm of their noise to.
-    unit = (2 * share * len(prediction)) ** -0.5
-    density = _density(prediction, rows, seen.lo, seen.hi, floor, share)
+    unit = (2 * share * len(tangent.prediction)) ** -0.5
+    density = _density(
+        jnp.asarray(tangent.prediction), rows, observation.lo, observation.hi, floor, share
+    )
 
     def inside(u):
         """Steps in coordinates, mirrored at the bounds."""

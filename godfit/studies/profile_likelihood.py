@@ -28,7 +28,8 @@ from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.observation import Observation
 from godfit.inference.problem import pixels_used
 from godfit.inference.repeated_values import relieved
-from godfit.inference.settle import Settled, Tangent, aim, settle
+from godfit.inference.settle import Settled, aim, settle
+from godfit.inference.solver import Tangent
 from godfit.models.base import AbstractModel, Vector
 from godfit.report.result import FitResult
 
@@ -76,10 +77,10 @@ def _interval(result: FitResult, name: str) -> tuple[float, float]:
     model, picture = result.model, result.picture
     index = list(model.parameters).index(name)
     row, best = model.parameters[name], result.params[name].value
-    seen = picture.observe(pixels_used(picture, result.seed))
+    observation = picture.observe(pixels_used(picture, result.seed))
     # The pixels of an upsampled pass share its texels.
     share = float(np.prod(picture.mask.shape[:2]) / np.prod(picture.size))
-    line = _Line(result, seen, index)
+    line = _Line(result, observation, index)
     low, high = (
         _end(line.on_tangent, best, way * line.stderr, bound, share, TRIES)
         for way, bound in ((-1, row.lower), (1, row.upper))
@@ -134,14 +135,14 @@ def _linearise(
     index: int,
     scale: Vector,
     model: AbstractModel,
-    seen: Observation,
+    observation: Observation,
 ) -> tuple[Float[Array, " m"], Float[Array, "p m"]]:
     """Levels and their derivatives by ``at`` over ``scale``, where entry ``index`` of ``at`` is
     the parameter itself and the others are coordinates, which it leaves as they are."""
 
     def predict(y):
         full = y * scale
-        return seen.predict(model.moved(full, jnp.asarray(held).at[index].set(full[index])))
+        return observation.predict(model.moved(full, jnp.asarray(held).at[index].set(full[index])))
 
     y = at / scale
     move = functools.partial(jax.jvp, predict, (y,))
@@ -151,10 +152,10 @@ def _linearise(
 class _Line:
     """The best fits with one parameter held."""
 
-    def __init__(self, result: FitResult, seen: Observation, index: int) -> None:
-        self.model, self.index = result.model, index
-        self.held = result.held
+    def __init__(self, result: FitResult, observation: Observation, index: int) -> None:
+        self.index = index
         self.others = result.free & (np.arange(len(result.free)) != index)
+        self.problem = result.problem.replaced(free=self.others)
         z = np.asarray(result.model.coordinates(), np.float32)
         # decay = 0 has no finite coordinate; nothing else moves it.
         z = np.nan_to_num(z, posinf=1e4)
@@ -162,12 +163,14 @@ class _Line:
         scale = result.model.scales(z)
         scale[index] = 0.1 * abs(self.best) + 1e-3
         z[index] = self.best
-        prediction, jacobian = _linearise(z, self.held, index, scale, result.model, seen)
+        prediction, jacobian = _linearise(z, result.held, index, scale, result.model, observation)
         self.tangent = Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
-        self.seen = seen = relieved(seen, self.tangent.prediction, result.noise_levels)
+        self.observation = observation = relieved(
+            observation, self.tangent.prediction, result.noise_levels
+        )
         self.at = Settled(z, result.noise_levels, -np.inf, True)
         moving = self.others | (np.arange(len(z)) == index)
-        covariance = evidence(self.at, self.tangent, seen).covariance(moving)
+        covariance = evidence(self.at, self.tangent, observation).covariance(moving)
         variance = max(float(covariance[index, index]), 1e-24)
         self.stderr = ROOT * math.sqrt(variance)
         self.follow = np.where(self.others, covariance[:, index] / variance, 0.0)
@@ -177,7 +180,7 @@ class _Line:
         """On the tangent, the best fit with the parameter at ``value``."""
         if value not in self.found:
             z, by = self.at.coordinates, value - self.best
-            bounds = (np.asarray(b, np.float32) for b in self.model.bounds())
+            bounds = self.problem.bounds
             start = np.where(self.others, np.clip(z + by * self.follow, *bounds), z)
             start[self.index] = value
             start = start.astype(np.float32)
@@ -186,7 +189,7 @@ class _Line:
             step[self.index] = by
             moved = self.tangent._replace(prediction=self.tangent.moved(step))
             begun = self.at._replace(coordinates=start)
-            self.found[value] = aim(begun, moved, self.model, self.seen, self.others)[0]
+            self.found[value] = aim(begun, moved, self.problem, self.observation)[0]
         return self.found[value]
 
     def on_tangent(self, value: float) -> float:
@@ -195,8 +198,8 @@ class _Line:
 
     def rendered(self, value: float) -> float:
         """Log-likelihood, profiled with the model itself."""
-        held = self.held.copy()
+        held = self.problem.held.copy()
         held[self.index] = value
         start = self._settled(value).coordinates
-        settled, _ = settle(start, self.model, self.seen, self.others, held)
+        settled, _ = settle(start, self.problem.replaced(held=held), self.observation)
         return settled.log_likelihood

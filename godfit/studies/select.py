@@ -19,14 +19,15 @@ import numpy as np
 
 from godfit.errors import InputError
 from godfit.fitting import fit
+from godfit.inference.criteria import CLEAR, aic, bic
 from godfit.inference.likelihood import log_likelihood
 from godfit.inference.noise import EXPLAINED
-from godfit.inference.observation import Observation
-from godfit.inference.solver import solve_tangent
+from godfit.inference.problem import Problem
+from godfit.inference.solver import Intervals, solve_tangent
 from godfit.io.sources import Source, read_source
 from godfit.models.mitchell import Mitchell
 from godfit.report.result import FitResult
-from godfit.report.select import CLEAR, Row, Rung, Selection
+from godfit.report.select import Row, Rung, Selection
 from godfit.runtime.parallel import parallel_map
 from godfit.scattering.taps import CONVENTIONS
 from godfit.scenes.scene import Scene, read_scene
@@ -79,7 +80,8 @@ def select(
         ladder = Ladder(base, place, seed, say)
         rungs = ladder.rungs()
         say("held-out pixels")
-        rows, chosen = _judged(rungs, ladder.seen, seed, base.pixels_effective / base.pixels)
+        share = base.pixels_effective / base.pixels
+        rows, chosen = _judged(rungs, ladder, share)
         daylight = None
         if geometry:
             shared = {k: v for k, v in options.items() if k in ("background", "valid", "transfer")}
@@ -93,18 +95,19 @@ def select(
     return Selection(tuple(rows), chosen, same, base, daylight, seconds)
 
 
-def _judged(rungs: list[Rung], seen: Observation, seed: int, share: float) -> tuple[list[Row], int]:
+def _judged(rungs: list[Rung], ladder: Ladder, share: float) -> tuple[list[Row], int]:
     """The rows, and which of them is recommended. Of correlated values only a ``share`` counts."""
-    penalty = math.log(share * len(np.asarray(seen.lo)))
-    lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
+    observation = ladder.observation
+    values = share * len(np.asarray(observation.lo))
+    lo, hi = np.asarray(observation.lo), np.asarray(observation.hi)
     known = np.isfinite(lo) & np.isfinite(hi)
     middle = (np.where(known, lo, 0) + np.where(known, hi, 0)) / 2
-    scores, sizes = zip(*parallel_map(lambda rung: _held_out(rung, seen, seed), rungs), strict=True)
-    costs = [-2 * share * rung.settled.log_likelihood for rung in rungs]
-    bics = [c + penalty * r.parameters for c, r in zip(costs, rungs, strict=True)]
+    scores, sizes = zip(*parallel_map(lambda rung: _held_out(rung, ladder), rungs), strict=True)
+    likelihoods = [share * rung.settled.log_likelihood for rung in rungs]
+    bics = [bic(lk, r.parameters, values) for lk, r in zip(likelihoods, rungs, strict=True)]
     best = int(np.argmin(bics))
     rows = []
-    for rung, cost, bic, score in zip(rungs, costs, bics, scores, strict=True):
+    for rung, likelihood, schwarz, score in zip(rungs, likelihoods, bics, scores, strict=True):
         behind = scores[best] - score
         error = math.sqrt(len(behind) * float(behind.var()))
         left = np.where(known, rung.tangent.prediction - middle, 0)
@@ -114,12 +117,12 @@ def _judged(rungs: list[Rung], seen: Observation, seed: int, share: float) -> tu
             Row(
                 rung=rung,
                 rmse=rmse,
-                aic=cost + 2 * rung.parameters,
-                bic=bic,
+                aic=aic(likelihood, rung.parameters),
+                bic=schwarz,
                 held_out=float(score.sum() / total),
                 behind=float(behind.sum() / total),
                 behind_error=error / float(total),
-                like_noise=like_noise(rung, seen),
+                like_noise=like_noise(rung, observation),
             )
         )
     chosen = next(i for i, row in enumerate(rows) if i == best or _as_good(row, rows[best]))
@@ -135,11 +138,12 @@ def _as_good(row: Row, best: Row) -> bool:
     return row.bic - best.bic < CLEAR or row.behind <= 0
 
 
-def _held_out(rung: Rung, seen: Observation, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def _held_out(rung: Rung, ladder: Ladder) -> tuple[np.ndarray, np.ndarray]:
     """(blocks,) log-likelihood of each block's values when the other half of the blocks is fitted,
     on the rung's tangent, and how many values there are."""
-    w = seen.size[1]
-    pixels, channels = np.asarray(seen.pixels), seen.channels
+    picture, observation, seed = ladder.picture, ladder.observation, ladder.seed
+    w = observation.size[1]
+    pixels, channels = np.asarray(observation.pixels), observation.channels
     across = -(-w // BLOCK)
     block = pixels // w // BLOCK * across + pixels % w // BLOCK
     rng = np.random.default_rng(seed)
@@ -148,7 +152,7 @@ def _held_out(rung: Rung, seen: Observation, seed: int) -> tuple[np.ndarray, np.
     drawn = np.arange(len(block))
     if len(drawn) > HELD_OUT_VALUES:
         drawn = np.sort(rng.choice(len(drawn), HELD_OUT_VALUES, replace=False))
-    lo, hi = np.asarray(seen.lo), np.asarray(seen.hi)
+    lo, hi = np.asarray(observation.lo), np.asarray(observation.hi)
     count = int(block.max()) + 1
     score, size = np.zeros(count), np.zeros(count)
     for side in (0, 1):
@@ -159,12 +163,12 @@ def _held_out(rung: Rung, seen: Observation, seed: int) -> tuple[np.ndarray, np.
         tangent, at = rung.tangent, rung.settled
         by = np.zeros_like(at.coordinates)
         if rung.model is None:
-            by[0] = _mean(lo[rows], hi[rows]) - at.coordinates[0]
+            # A veil has one coordinate, its level.
+            by[:] = _mean(lo[rows], hi[rows]) - at.coordinates
         elif rung.free.any():
-            moved = solve_tangent(
-                at.coordinates, rung.free, rung.model, tangent.scale, tangent.prediction[rows],
-                tangent.jacobian[:, rows], lo[rows], hi[rows], at.sigma,
-            )  # fmt: skip
+            problem = Problem(rung.model, picture, rung.free, rung.held, seed)
+            intervals = Intervals(lo[rows], hi[rows])
+            moved = solve_tangent(at.coordinates, problem, tangent.only(rows), intervals, at.sigma)
             if np.isfinite(moved.coordinates).all():
                 by = moved.coordinates - at.coordinates
         levels = tangent.only(others).moved(by)
@@ -189,7 +193,8 @@ def _equivalent(rung: Rung, base: FitResult) -> dict[str, dict[str, float]]:
     model = rung.model
     if not isinstance(model, Mitchell) or model.convention.box:
         return {}
-    if not (rung.free[1] and rung.free[2] and rung.free[3]):
+    moves = dict(zip(model.parameters, rung.free, strict=True))
+    if not (moves["decay"] and moves["density"] and moves["weight"]):
         return {model.shader: rung.values}
     (taps,) = model.taps
     own, first, decay, step = (float(z) for z in (taps.own, taps.first, taps.ratio, taps.step))

@@ -18,11 +18,11 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from godfit.scattering.radial.coordinates import points, to_pixels
 from godfit.scattering.radial.reference import bilinear
-from godfit.scattering.taps import Scalar, Taps
+from godfit.scattering.taps import Count, Scalar, Taps, TracedCount, number_of
 
 
 class RayParameters(NamedTuple):
@@ -37,7 +37,7 @@ class RayParameters(NamedTuple):
 
 
 Sums = Callable[
-    [Float[Array, "h w"], RayParameters, int, Float[Array, "2 points"] | None, bool],
+    [Float[Array, "h w"], RayParameters, Count, Float[Array, "2 points"] | None, bool],
     Float[Array, "sums points"],
 ]
 """A method's sums, (mask, ray, count, at, slopes) -> (1 or 4, points): S, or with ``slopes`` S,
@@ -46,8 +46,9 @@ S_r, G_x and G_y, whose slopes are per pixel of the mask. They are computed at c
 
 
 class TapParameters(NamedTuple):
-    """The numbers by which a sum is differentiated, besides the mask: the light (u, v), and the
-    taps' own weight, first weight, ratio and step. There is no derivative by the ``lag``."""
+    """The parameters of a sum besides the mask, by which it is differentiated: the light (u, v),
+    and the taps' own weight, first weight, ratio and step. There is no derivative by the ``lag``,
+    nor by the ``count``, which is None where it is known when the program is compiled."""
 
     light: Float[Array, "2"]
     own: Scalar
@@ -55,6 +56,7 @@ class TapParameters(NamedTuple):
     ratio: Scalar
     step: Scalar
     lag: Scalar
+    count: Int[Array, ""] | None
 
 
 def geometric_sum(
@@ -72,8 +74,11 @@ def geometric_sum(
     """
     require_ray_taps(taps)
     lag = jax.lax.stop_gradient(taps.lag)
-    parameters = TapParameters(light, taps.own, taps.first, taps.ratio, taps.step, lag)
-    flat = _sum(sums, linear or sums, taps.count, mask, parameters, at)
+    # A traced count is an argument of the sum, a known one a constant of the program.
+    traced = isinstance(taps.count, TracedCount)
+    known, count = (None, number_of(taps)) if traced else (taps.count, None)
+    parameters = TapParameters(light, taps.own, taps.first, taps.ratio, taps.step, lag, count)
+    flat = _sum(sums, linear or sums, known, mask, parameters, at)
     return flat.reshape(mask.shape if at is None else at.shape[:-1])
 
 
@@ -84,15 +89,16 @@ def require_ray_taps(taps: Taps) -> None:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2))
-def _sum(sums, linear, count, mask, parameters, at):
+def _sum(sums, linear, known, mask, parameters, at):
     ray, points_at, itself = _prepared(mask, parameters, at)
+    count = parameters.count if known is None else known
     return parameters.own * itself + parameters.first * sums(mask, ray, count, points_at, False)[0]
 
 
 def _prepared(mask, parameters, at):
     """The parameters in pixels, ``at`` as (2, points) or None, and the mask there (points,)."""
     h, w = mask.shape
-    _, _, _, ratio, step, lag = parameters
+    ratio, step, lag = parameters.ratio, parameters.step, parameters.lag
     ray = RayParameters(*to_pixels(parameters.light, h, w), ratio, step, lag)
     if at is None:
         return ray, None, mask.reshape(-1)
@@ -101,13 +107,13 @@ def _prepared(mask, parameters, at):
 
 
 @functools.partial(_sum.defjvp, symbolic_zeros=True)
-def _sum_jvp(sums, linear, count, primals, tangents):
+def _sum_jvp(sums, linear, known, primals, tangents):
     mask, parameters, at = primals
     d_mask, d_parameters, d_at = tangents
     if at is not None and not is_symbolic_zero(d_at):
         raise ValueError("radial_sum is differentiable in `at` by method 'reference' alone")
     ray, points_at, itself = _prepared(mask, parameters, at)
-    four = sums(mask, ray, count, points_at, True)
+    four = sums(mask, ray, parameters.count if known is None else known, points_at, True)
     size = (mask.shape[0], mask.shape[1])
     by = partial_derivatives(itself, four, parameters.first, ray, size, at)
     out = parameters.own * itself + parameters.first * four[0]
@@ -120,7 +126,7 @@ def _sum_jvp(sums, linear, count, primals, tangents):
     if not is_symbolic_zero(d_light):
         d_out += d_light[0] * by.light_x + d_light[1] * by.light_y
     if not is_symbolic_zero(d_mask):
-        d_out += _sum(linear, linear, count, d_mask, parameters, at)
+        d_out += _sum(linear, linear, known, d_mask, parameters, at)
     return out, d_out
 
 

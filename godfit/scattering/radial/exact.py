@@ -8,10 +8,11 @@ from collections.abc import Callable
 import jax
 from jaxtyping import Array, Float
 
+from godfit.runtime.program_cache import RunTime
 from godfit.scattering.radial.packed import packed
 from godfit.scattering.radial.pairs import pairs
 from godfit.scattering.radial.reference import reference
-from godfit.scattering.taps import Taps
+from godfit.scattering.taps import Count, Taps
 
 Method = Callable[
     [Float[Array, "h w"], Float[Array, "2"], Taps, Float[Array, "*points 2"] | None],
@@ -35,6 +36,13 @@ def fastest(taps: Taps) -> str:
     if taps.unit != "ray":
         return "reference"
     return "strips" if jax.default_backend() == "cpu" and "strips" in EXACT else "pairs"
+
+
+def at_run_time(samples: Count) -> Count:
+    """``samples``, as a number that compiled programs take at run time if the fastest method can:
+    a program compiled for one number then serves every other."""
+    strips_serve = jax.default_backend() == "cpu" and "strips" in EXACT
+    return RunTime(samples) if strips_serve and isinstance(samples, int) else samples
 
 
 def compile_fastest() -> None:

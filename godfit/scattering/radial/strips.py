@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 from godfit.scattering.radial.derivatives import RayParameters, geometric_sum
 from godfit.scattering.radial.pairs import pair_sums
 from godfit.scattering.radial.strips_kernel import FLAT_CELL, TILE_ROWS, target
-from godfit.scattering.taps import Taps
+from godfit.scattering.taps import Count, Taps
 
 MAX_STRIP_CALLS = 16
 """Most calls for one picture: XLA distributes the calls of a program over its threads only where
@@ -44,7 +44,7 @@ def _chunks(size: int, unit: int, most: int) -> list[tuple[int, int]]:
 def strip_sums(
     mask: Float[Array, "h w"],
     ray: RayParameters,
-    count: int,
+    count: Count,
     at: Float[Array, "2 points"] | None,
     slopes: bool,
 ) -> Float[Array, "sums points"]:

@@ -1,0 +1,56 @@
+"""What a target went through is taken away from the answer, and no wrong model is excused by it.
+
+A small run of experiments/accuracy/recovery.py --made jpeg and --made upsampled."""
+
+import numpy as np
+import pytest
+
+import godfit
+from godfit.io.jpeg import compressed
+from godfit.studies.posterior import posterior
+from godfit.studies.profile_likelihood import profile
+from tests.support import random_targets
+from tests.support import stability_judges as stability
+
+SIZE = 128
+pytestmark = pytest.mark.usefixtures("single_precision")
+
+
+def as_jpeg(mask, quality=80):
+    levels = random_targets.to_bytes(stability.light_pass(mask)).astype(float)
+    return compressed(levels[..., None], quality, 0)[..., 0].astype(np.uint8)
+
+
+def as_upsampled(mask):
+    low = mask.reshape(SIZE // 2, 2, SIZE // 2, 2).mean((1, 3)) / 255
+    stored = random_targets.to_bytes(random_targets.render64(low, stability.TRUTH)) / 255
+    return random_targets.to_bytes(random_targets.enlarged(stored, SIZE))
+
+
+@pytest.mark.parametrize(("made", "scale"), [(as_jpeg, None), (as_upsampled, 0.5)])
+def test_the_answer_is_freed_of_what_the_target_went_through(made, scale):
+    mask = stability.mask_of(SIZE, seed=4)
+    target = made(mask)
+    result = stability.fit(target, mask, pass_scale=scale)
+    assert result.converged, result.message
+    assert any("JPEG" in w for w in result.warnings) == (made is as_jpeg)
+    assert result.pixels_effective < 0.5 * result.pixels
+    assert result.simulated
+    for ask in (lambda: profile(result, "density"), lambda: posterior(result)):
+        with pytest.raises(godfit.InputError, match="that the likelihood alone explains"):
+            ask()
+    # Without asking what may be wrong, the same as if what is left were noise: its errors are too
+    # small for what they miss.
+    naive = stability.fit(target, mask, pass_scale=scale, inquire=False)
+    off, before = (
+        [(e.value - stability.TRUTH[n]) / e.stderr for n, e in each.params.items()]
+        for each in (result, naive)
+    )
+    assert np.max(np.abs(off)) < 4
+    assert np.linalg.norm(off) < 0.7 * np.linalg.norm(before)
+
+
+def test_a_wrong_model_is_not_excused_by_compression():
+    mask = stability.mask_of(SIZE, seed=3)
+    result = stability.fit(as_jpeg(mask, 75), np.roll(mask, (3, -2), (0, 1)))
+    assert not result.converged

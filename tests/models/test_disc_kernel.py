@@ -1,0 +1,93 @@
+"""The light pass of a disc in one call: the same as from a mask for everything."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from godfit.models.disc_light import DiscLight
+from godfit.models.mitchell import Mitchell
+from godfit.scattering.upsample import columns_rows
+
+SIZE = (120, 200)
+
+
+def model_at(light, radius=0.1, edge=0.002, cut=1, shader="dawntime"):
+    shading = Mitchell(0.3, 0.97, 0.8, 0.7, [light], shader, 60)
+    return DiscLight(shading, [radius, edge, 0.06], np.zeros((1, 1)), (), cut)
+
+
+def mask_and_points(most=1.3):
+    """Some of the mask is more than open; points by themselves, in rows, and at the border."""
+    rng = np.random.default_rng(0)
+    mask = (rng.uniform(size=SIZE) < 0.8) * rng.uniform(0.7, most, SIZE)
+    pixels = np.sort(rng.choice(SIZE[0] * SIZE[1], 500, replace=False))
+    pixels = np.concatenate([pixels, np.arange(7000, 7040), [0, SIZE[1] - 1, mask.size - 1]])
+    return jnp.asarray(mask), columns_rows(jnp.asarray(pixels), SIZE[1], float)
+
+
+@pytest.mark.parametrize("shader", ["dawntime", "mitchell", "pmndrs"])
+@pytest.mark.parametrize(
+    ("light", "radius", "edge", "cut", "most"),
+    [
+        ((0.5137, 0.4921), 0.1, 0.002, 1, 1.3),
+        ((0.0213, 0.6031), 0.1, 1e-5, 2, 1.3),
+        ((0.3713, 0.2031), 0.4, 0.003, 1, 1.0),
+        ((0.4713, 0.4031), 0.3, 1e-5, 2, 1.0),
+        ((0.4713, 0.4031), 0.3, 1e-5, 1, 1.3),
+        ((0.6713, 0.7031), 0.1, 0.1, 1, 1.0),
+        ((1.05, 0.9), 0.1, 0.002, 1, 1.3),
+        ((0.4011, -0.1013), 0.15, 0.004, 2, 1.0),
+        ((-0.5, 2.0), 0.1, 0.002, 1, 1.3),
+    ],
+    ids=["amid", "border", "large", "hard", "over", "soft", "beside", "below", "far"],
+)
+def test_it_is_the_sum_over_the_whole_mask(light, radius, edge, cut, most, shader):
+    """And so are its derivatives, wherever the light and however large and soft the disc is."""
+    model, (mask, at) = model_at(light, radius, edge, cut, shader), mask_and_points(most)
+    (value,) = model._in_one(mask, at, False)
+    found = model._in_one(mask, at, True)
+    right = model._of_the_whole(mask, at, "reference", True)
+    np.testing.assert_allclose(value, right[0], rtol=0, atol=1e-12 * np.abs(right[0]).max())
+    for part, whole in zip(found, right, strict=True):
+        size = np.abs(whole).max()
+        assert size > 0
+        np.testing.assert_allclose(part, whole, rtol=0, atol=1e-12 * size)
+
+
+def test_it_is_what_a_model_of_some_points_uses(monkeypatch):
+    """In single precision too, and many at a time."""
+    used, in_one = [], DiscLight._in_one
+
+    def recorded(self, open_, at, slopes):
+        used.append(open_.dtype)
+        return in_one(self, open_, at, slopes)
+
+    monkeypatch.setattr(DiscLight, "_in_one", recorded)
+    model, (mask, _) = model_at((0.5137, 0.4921), 0.3, 0.001), mask_and_points(1.0)
+    pixels = jnp.arange(5, 5800)
+
+    def shown(light, mask, method):
+        here = model._with(jnp.concatenate([model._numbers[:4], light, model.shape]))
+        return here.light_pass(mask, size=SIZE, pixels=pixels, method=method)
+
+    lights = jnp.array([[0.5137, 0.4921], [0.2, 0.9], [1.04, 0.5]])
+    found = jax.vmap(lambda light: shown(light, mask, "auto"))(lights)
+    for light, each in zip(lights, found, strict=True):
+        right = shown(light, mask, "reference")
+        np.testing.assert_allclose(each, right, atol=1e-12)
+        single = shown(light.astype(jnp.float32), mask.astype(jnp.float32), "auto")
+        assert single.dtype == jnp.float32
+        np.testing.assert_allclose(single, right, rtol=3e-6)
+    assert set(used) == {jnp.dtype("float32"), jnp.dtype("float64")}
+
+
+def test_what_is_no_number_gives_none():
+    model, (mask, at) = model_at((np.nan, 0.5)), mask_and_points()
+    assert np.isnan(model._in_one(mask, at, True)[0]).all()
+
+
+def test_a_light_without_an_end_adds_nothing():
+    """Far beyond what a whole number holds."""
+    model, (mask, at) = model_at((1e30, 0.5)), mask_and_points()
+    assert np.isfinite(model._in_one(mask, at, False)[0]).all()

@@ -1,0 +1,250 @@
+"""The fit against truths that it has not seen: values, errors, bounds, what is left open."""
+
+import numpy as np
+import pytest
+
+import godfit
+from godfit.inference.information import undetermined
+from godfit.io.image import Image
+from godfit.search import multigrid
+from godfit.search.screening import _in_order, places_for
+from tests.support import random_targets
+from tests.support.known_truth import SAMPLES, SIZE, TRUTH, errors, fit, picture
+
+
+def test_truth_is_found_from_nothing():
+    result = fit(*picture(3))
+    off = errors(result)
+    assert result.converged, result.message
+    assert off["decay"] < 5e-5
+    assert off["density"] < 5e-4
+    assert off["light_x"] < 3e-4
+    assert off["light_y"] < 3e-4
+    assert off["exposure"] < 0.03 * TRUTH["exposure"]
+    assert off["weight"] < 0.03 * TRUTH["weight"]
+    assert result.rmse_levels < 0.32
+    assert result.noise_levels < 0.02
+    assert result.undetermined == ()
+    assert result.params["exposure"].stderr is not None
+
+
+@pytest.mark.parametrize("told", [(), (0,), (1,), (0, 2), (0, 1, 2)])
+def test_lights_are_in_order_but_for_those_that_are_given(told):
+    """Those given are where they were given, the others go from left to right."""
+    lattice = np.array([[0.9, 0.2], [0.5, 0.5], [0.1, 0.7]], np.float32)
+    given = {f"light{i + 1 if i else ''}_{c}": 0.3 + 0.1 * i for i in told for c in "xy"}
+    places, found = places_for(lattice, given, 3)
+    assert found == told
+    group = np.arange(len(places))[:3]
+    at = places[_in_order(group, places, found)]
+    for i in told:
+        np.testing.assert_allclose(at[i], 0.3 + 0.1 * i)
+    others = np.delete(at[:, 0], told)
+    assert list(others) == sorted(others)
+
+
+def test_the_same_seed_gives_the_same_answer():
+    target, mask = picture(3)
+    first, second = fit(target, mask), fit(target, mask)
+    assert first.params == second.params
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_quoted_errors_cover(noise):
+    """A small run of experiments/accuracy/recovery.py: 95% of 48 intervals of two standard errors
+    hold on average; fewer than 39 happen by chance less than once in 1,000 runs."""
+    inside, largest = 0, 0.0
+    for seed in range(8):
+        result = fit(*picture(seed, noise))
+        assert result.converged, (seed, result.message)
+        for name, off in errors(result).items():
+            stderr = result.params[name].stderr
+            assert stderr is not None
+            inside += off < 2 * stderr
+            largest = max(largest, off / stderr)
+    assert inside >= 39
+    assert largest < 6
+    assert result.noise_levels == pytest.approx(noise, abs=0.05)
+
+
+def test_decay_and_density_on_their_bounds():
+    changes = {"decay": 1.0, "density": 1.0, "weight": 0.1}
+    result = fit(*picture(5, **changes))
+    assert result.converged
+    assert result.params["density"].at_bound
+    decay = result.params["decay"]
+    assert decay.stderr is not None
+    assert decay.at_bound or 1 - decay.value < 4 * decay.stderr
+    assert not result.params["light_x"].at_bound
+    assert all(result.params[n].value <= 1 for n in ("decay", "density"))
+    off = errors(result, **changes)
+    assert off["decay"] < 5e-5
+    assert off["density"] < 5e-4
+
+
+def test_fixed_parameters_stay_and_the_rest_follow():
+    target, mask = picture(3)
+    result = fit(target, mask, fix={"decay": 0.95, "weight": 0.5, "light_x": 0.55})
+    for name in ("decay", "weight", "light_x"):
+        assert result.params[name].value == pytest.approx(TRUTH[name], rel=1e-6)
+        assert result.params[name].fixed
+        assert result.params[name].stderr is None, name
+    assert errors(result)["exposure"] < 1e-3 * TRUTH["exposure"]
+    assert errors(result)["light_y"] < 3e-4
+    wrong = fit(target, mask, fix={"density": 0.5})
+    assert wrong.params["density"].value == pytest.approx(0.5)
+    assert not wrong.converged
+    assert wrong.rmse_levels > 2 * result.rmse_levels
+
+
+def test_everything_fixed_is_a_comparison():
+    result = fit(*picture(3), fix=TRUTH)
+    assert result.rmse_levels < 0.32
+    assert all(e.fixed for e in result.params.values())
+
+
+def test_a_start_is_used(monkeypatch):
+    """The climb begins from nowhere else, and the truth is found from there."""
+    begun, climb = [], multigrid.climb
+
+    def recorded(picture, model, starts, *rest):
+        begun.extend(starts)
+        return climb(picture, model, starts, *rest)
+
+    monkeypatch.setattr(multigrid, "climb", recorded)
+    result = fit(*picture(3), start={"light_x": 0.5, "light_y": 0.6, "density": 0.7})
+    assert begun
+    for start in begun:
+        _, _, density, _, *light = start
+        np.testing.assert_allclose([density, *light], [0.7, 0.5, 0.6], rtol=1e-6)
+    assert errors(result)["density"] < 5e-4
+
+
+def test_only_the_product_is_determined_without_an_own_pixel_tap():
+    target, mask = picture(3)
+    result = fit(target, mask, shader="pmndrs", samples=SAMPLES)
+    assert any("exposure*weight" in sentence for sentence in result.undetermined)
+    assert result.params["exposure"].stderr is None
+    assert result.params["weight"].stderr is None
+
+
+def test_pixels_to_ignore_are_ignored():
+    target, mask = picture(3)
+    panel = target.copy()
+    panel[:30, 60:] = 200
+    valid = np.ones(target.shape, bool)
+    valid[:30, 60:] = False
+    result = fit(panel, mask, valid=valid)
+    assert result.converged
+    assert result.pixels == valid.sum()
+    assert errors(result)["density"] < 5e-4
+    assert np.isnan(result.residual[~valid]).all()
+    assert not fit(panel, mask).converged
+
+
+def test_wrong_transfer_is_not_called_converged():
+    target, mask = picture(3)
+    gamma = np.floor(255 * (target / 255) ** (1 / 2.2) + 0.5).astype(np.uint8)
+    result = fit(gamma, mask)
+    assert not result.converged
+    assert "not noise" in result.message
+
+
+def test_srgb_target_is_read_through_its_transfer():
+    _, mask = picture(3)
+    values = random_targets.render64(mask / 255, TRUTH | {"samples": SAMPLES}).clip(0, 1)
+    encoded = np.where(values <= 0.0031308, 12.92 * values, 1.055 * values ** (1 / 2.4) - 0.055)
+    coded = np.floor(encoded * 255 + 0.5).astype(np.uint8)
+    result = fit(coded, mask, transfer="srgb")
+    assert result.converged, result.message
+    assert result.noise_levels < 0.02
+    assert errors(result)["density"] < 5e-4
+    assert errors(result)["light_x"] < 3e-4
+
+
+def test_floats_have_no_interval():
+    _, mask = picture(3)
+    truth = TRUTH | {"samples": SAMPLES}
+    noise = np.random.default_rng(0).normal(0, 0.5 / 255, mask.shape)
+    target = (random_targets.render64(mask / 255, truth) + noise).astype(np.float32)
+    result = fit(target, mask)
+    assert result.noise_levels == pytest.approx(0.5, rel=0.05)
+    for name, off in errors(result).items():
+        stderr = result.params[name].stderr
+        assert stderr is not None
+        assert off < 4.5 * stderr, name
+
+
+@pytest.mark.parametrize("value", [0, 77, 255])
+def test_constant_target_and_white_mask_are_no_error(value):
+    """A picture without a trace of light fits, or says that it does not; nothing is invented."""
+    # Of a shape of the tiny images below, whose programs it shares.
+    target = np.full((3, 5), value, np.uint8)
+    result = fit(target, np.full((3, 5), 255, np.uint8))
+    assert result.undetermined
+    assert all(np.isfinite(e.value) for e in result.params.values())
+    assert result.params["light_x"].stderr is None
+
+
+def test_black_mask_determines_nothing():
+    target, mask = picture(3)
+    result = fit(target, np.zeros_like(mask))
+    assert not result.converged
+    assert all(e.stderr is None for e in result.params.values())
+
+
+@pytest.mark.parametrize("size", [(1, 1), (3, 5)])
+def test_tiny_images(size):
+    rng = np.random.default_rng(0)
+    target = rng.integers(0, 255, size).astype(np.uint8)
+    result = fit(target, rng.random(size).astype(np.float32))
+    assert all(np.isfinite(e.value) for e in result.params.values())
+    assert result.render().shape == size
+
+
+def test_open_directions_are_found():
+    """Of two columns that are multiples of each other one is held, the other determined."""
+    information = np.array([[100.0, 100.0, 0.0], [100.0, 100.0, 0.0], [0.0, 0.0, 0.0]])
+    found = undetermined(information, np.ones(3), np.ones(3, bool), keep=1)
+    assert sorted(index for index, _ in found) == [0, 2]
+    assert undetermined(np.diag([9.0, 9, 9]), np.ones(3), np.ones(3, bool), keep=1) == []
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"shader": "dawntimes"}, "did you mean 'dawntime'"),
+        ({"samples": 0}, "samples: expected"),
+        ({"samples": 10**9}, "samples: expected"),
+        ({"fix": {"decya": 1.0}}, "did you mean 'decay'"),
+        ({"fix": {"decay": 1.5}}, "expected decay from 0 to 1"),
+        ({"start": {"density": -1.0}}, "expected density from 0 to 1"),
+        ({"start": {"light_x": float("nan")}}, "expected light_x"),
+        ({"lights": 0}, "lights: expected"),
+        ({"pass_scale": 0.0}, "pass scale: expected"),
+        ({"valid": np.zeros((SIZE, SIZE), bool)}, "ignore less"),
+        ({"background": np.zeros((3, 3), np.uint8)}, "background: expected"),
+    ],
+)
+def test_bad_options_say_what_to_do(options, words):
+    with pytest.raises(godfit.InputError, match=words) as caught:
+        fit(*picture(3), **options)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("shape", [(48, 96), (SIZE * 2, SIZE * 2)])
+def test_mask_of_another_shape_is_refused(shape):
+    target, _ = picture(3)
+    with pytest.raises(godfit.InputError, match="mask: expected"):
+        fit(target, np.zeros(shape, np.uint8))
+
+
+def test_infinite_arrays_are_refused():
+    with pytest.raises(godfit.InputError, match="finite"):
+        fit(np.full((8, 8), np.inf), np.ones((8, 8), np.float32))
+
+
+def test_image_in_memory_is_taken_as_it_is():
+    target, mask = picture(3)
+    image = Image(target.astype(np.float32) / 255, 1 / 255, "none", "", "")
+    assert fit(image, mask).params == fit(target, mask).params
