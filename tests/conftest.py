@@ -28,7 +28,7 @@ import jax
 import pytest
 from jaxtyping import install_import_hook
 
-from godfit.runtime.cache import keep_compiled
+from godfit.runtime.cache import enable_jax_cache
 
 if "PYTEST_XDIST_WORKER" not in os.environ:
     atexit.register(shutil.rmtree, os.environ["GODFIT_CACHE"], ignore_errors=True)
@@ -48,7 +48,7 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
 gc.set_threshold(100_000, 10, 10)
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
-keep_compiled()
+enable_jax_cache()
 
 # What numba compiles cannot be wrapped: it is loaded first, and all else once more.
 COMPILED = (
@@ -77,7 +77,7 @@ sys.modules |= compiled
 # Before any test module imports godfit: the hook rewrites modules as they are loaded.
 install_import_hook("godfit", "beartype.beartype")
 # A worker's heap is large, and giving it back after every program is compiled takes 1% of the time.
-importlib.import_module("godfit.runtime.malloc").LONG = math.inf
+importlib.import_module("godfit.runtime.malloc").TRIM_AFTER_SECONDS = math.inf
 
 
 # Files that take long, longest first: in the order of their names, or of how many tests they hold,
@@ -119,7 +119,7 @@ def resident() -> float:
 def forget():
     """Compiled programs of one file are of little use to the next, and take gigabytes together."""
     yield
-    importlib.import_module("godfit.runtime.program_cache").forget_programs()
+    importlib.import_module("godfit.runtime.program_cache").disable_program_cache()
     if resident() > MOST:
         jax.clear_caches()
 

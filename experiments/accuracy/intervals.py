@@ -18,7 +18,7 @@ import argparse
 import jax
 import numpy as np
 
-from godfit.runtime.cache import keep_compiled
+from godfit.runtime.cache import enable_jax_cache
 from godfit.studies.posterior import posterior, with_posterior
 from tests.support.profiled_truths import PROFILED, Profiled, attempt
 
@@ -40,7 +40,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=128)
     parser.add_argument("--posteriors", type=int, default=8)
     options = parser.parse_args()
-    keep_compiled()
+    enable_jax_cache()
     first, last = map(int, options.seeds.split(":"))
     regular: list[Profiled] = []
     for name in PROFILED:

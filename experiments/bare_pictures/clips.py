@@ -18,7 +18,7 @@ import numpy as np
 
 import godfit
 from godfit.report.clip import ClipResult, Frame
-from godfit.runtime.cache import keep_compiled
+from godfit.runtime.cache import enable_jax_cache
 from tests.support.synthetic import screens
 
 JUDGED = ("decay", "density", "gain")
@@ -32,7 +32,7 @@ def main() -> int:
     parser.add_argument("--frames", type=int, default=10)
     parser.add_argument("--kind", default="flat", choices=screens.BACKGROUNDS)
     options = parser.parse_args()
-    keep_compiled()
+    enable_jax_cache()
     first, last = map(int, options.clips.split(":"))
     rows = [judged(seed, options.frames, options.kind) for seed in range(first, last)]
     print("by how much the error shrinks: all clips together; what is quoted, median clip")

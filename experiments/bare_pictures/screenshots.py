@@ -18,7 +18,7 @@ import time
 import numpy as np
 
 import godfit
-from godfit.runtime.cache import keep_compiled
+from godfit.runtime.cache import enable_jax_cache
 from tests.support.synthetic import photographs, screens
 
 PHOTOGRAPH = "photograph"
@@ -31,7 +31,7 @@ def main() -> int:
     )
     parser.add_argument("--seeds", default="1000:1020")
     options = parser.parse_args()
-    keep_compiled()
+    enable_jax_cache()
     first, last = map(int, options.seeds.split(":"))
     for kind in options.kinds:
         if kind == screens.RAYLESS:

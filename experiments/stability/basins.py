@@ -15,7 +15,7 @@ import argparse
 
 import numpy as np
 
-from godfit.runtime.cache import keep_compiled
+from godfit.runtime.cache import enable_jax_cache
 from tests.support.basins import DENSITIES, FACTORS, REACH, maps, reach
 
 KINDS = ("triangles", "ellipses", "clouds")
@@ -27,7 +27,7 @@ def main() -> None:
     parser.add_argument("--grid", type=int, default=11)
     parser.add_argument("--figure")
     options = parser.parse_args()
-    keep_compiled()
+    enable_jax_cache()
     found = {}
     for kind in KINDS:
         found[kind] = light, other = maps(kind, options.size, options.grid)

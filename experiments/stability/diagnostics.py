@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from godfit.runtime.cache import keep_compiled
+from godfit.runtime.cache import enable_jax_cache
 from tests.support.defects import SAYS, warned
 
 
@@ -25,7 +25,7 @@ def main() -> int:
     parser.add_argument("--size", type=int, default=128)
     parser.add_argument("--kinds", nargs="+", default=[*SAYS, "clean"])
     options = parser.parse_args()
-    keep_compiled()
+    enable_jax_cache()
     kept = True
     for kind in options.kinds:
         count = options.clean if kind == "clean" else options.targets

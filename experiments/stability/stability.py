@@ -17,7 +17,7 @@ import sys
 import jax
 import numpy as np
 
-from godfit.runtime.cache import keep_compiled
+from godfit.runtime.cache import enable_jax_cache
 from tests.support.stability_cases import CASES, Case, attempt
 from tests.support.stability_judges import Outcome
 
@@ -28,7 +28,7 @@ def main() -> int:
     parser.add_argument("--only", default="")
     parser.add_argument("--figure")
     options = parser.parse_args()
-    keep_compiled()
+    enable_jax_cache()
     cases = [c for c in CASES if options.only in f"{c.failure} {c.name}"]
     table = []
     for case in cases:

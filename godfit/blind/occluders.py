@@ -27,7 +27,7 @@ from godfit.inference.observation import Picture
 from godfit.io.image import LEVELS
 from godfit.models.disc_light import DARK, DiscLight, terms
 from godfit.runtime.program_cache import cached_jit
-from godfit.scattering.mask_jacobian import texel_sums
+from godfit.scattering.mask_jacobian import PartlyKnownMask, PixelTaps, mask_jacobian
 
 ROUNDS = 3
 # Levels at which a pixel that is off no longer counts in full; of a textured picture, in units of
@@ -252,7 +252,8 @@ def _sums(
     lit = lit_by(model, low).ravel()
     t, c = (np.asarray(a, np.float64) for a in taps_of(model))
     values = np.asarray(picture.mask, np.float32).ravel()
-    known, starts, read, share = texel_sums(texels, *low, light, t, c, lit, values, place, count)
+    taps, mask = PixelTaps(light, t, c), PartlyKnownMask(low, values, place, count, lit)
+    known, starts, read, share = mask_jacobian(texels, taps, mask)
     shape = (len(texels), count)
     share *= np.float32(LEVELS)
     sums = sparse.csr_matrix((share, read, starts), shape)

@@ -26,7 +26,7 @@ from godfit.models.disc_light import powers
 from godfit.runtime.device import on_device
 from godfit.runtime.parallel import map_halves, parallel_map
 from godfit.runtime.program_cache import cached_jit
-from godfit.scattering.radial.nearest import DENSITIES, STEPS, read_rays
+from godfit.scattering.radial.nearest import GRID_DENSITIES, RAY_STEPS, read_rays
 
 SIZE, FINE = 64, 128
 POINTS = 768
@@ -103,7 +103,7 @@ def _search(rays, away, radii, along, basis, goal):
     (shapes, steps); basis (points, k) orthonormal, goal (points,) without what basis explains.
     Weights are in basis and goal.
     """
-    t = (jnp.arange(STEPS) + 0.5) / STEPS
+    t = (jnp.arange(RAY_STEPS) + 0.5) / RAY_STEPS
     weight, basis = basis[:, 0], basis[:, 1:]
 
     def without(values):
@@ -156,10 +156,10 @@ def starts(
     at = np.stack([u * fine.shape[1] / 2 - 0.5, (1 - v) * fine.shape[0] / 2 - 0.5], -1)
     x, y = 2 * u - 1, 2 * v - 1
     basis = np.stack(powers(x, y, terms), -1)
-    shapes = np.array(list(itertools.product(KAPPAS, DENSITIES)), np.float32)
-    middles = (np.arange(STEPS) + 0.5) / STEPS
-    part = np.clip(shapes[:, 1:] * STEPS - np.arange(STEPS), 0, 1)
-    along = (np.exp(-shapes[:, :1] * middles) * part / STEPS).astype(np.float32)
+    shapes = np.array(list(itertools.product(KAPPAS, GRID_DENSITIES)), np.float32)
+    middles = (np.arange(RAY_STEPS) + 0.5) / RAY_STEPS
+    part = np.clip(shapes[:, 1:] * RAY_STEPS - np.arange(RAY_STEPS), 0, 1)
+    along = (np.exp(-shapes[:, :1] * middles) * part / RAY_STEPS).astype(np.float32)
     away = np.hypot((u[None] - lights[:, :1]) * aspect, v[None] - lights[:, 1:])
     weight = np.ones(len(chosen))
     values = goal.ravel()[chosen]

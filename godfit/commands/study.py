@@ -84,17 +84,17 @@ def working(run: Run) -> Iterator[Progress]:
     """Show progress, and keep compiled programs and little memory."""
     with Progress(run.quiet, run.verbose) as progress:
         progress("loading JAX")
-        from godfit.runtime.cache import keep_compiled
-        from godfit.runtime.malloc import keep_little
-        from godfit.runtime.program_cache import keep_programs, remember
+        from godfit.runtime.cache import enable_jax_cache
+        from godfit.runtime.malloc import return_freed_memory
+        from godfit.runtime.program_cache import enable_program_cache, save_preload_list
 
-        keep_little()
-        keep_compiled()
-        keep_programs()
+        return_freed_memory()
+        enable_jax_cache()
+        enable_program_cache()
         try:
             yield progress
         finally:
-            remember()
+            save_preload_list()
 
 
 def prepare(
@@ -129,13 +129,13 @@ def say_assumed(options: Mapping[str, Any]) -> None:
 
 
 def _load_ahead(kernels: bool, occasion: str) -> None:
-    from godfit.runtime.program_cache import read_ahead
+    from godfit.runtime.program_cache import preload_programs
 
     if kernels:
-        from godfit.scattering.radial.exact import load_fastest
+        from godfit.scattering.radial.exact import compile_fastest
 
-        load_fastest()
-    read_ahead(occasion)
+        compile_fastest()
+    preload_programs(occasion)
     import matplotlib.backends.backend_agg
     import matplotlib.figure  # noqa: F401
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from godfit.flatland.walk_kernel import FILLED, LANES, SPENT, blend, walk
 from godfit.runtime.numba_jit import fast_jit
-from godfit.runtime.xla_ffi import asks_version, matrix, result, vector
+from godfit.runtime.xla_ffi import answers_version_query, matrix, result, vector
 
 
 @fast_jit
@@ -158,7 +158,7 @@ def _cascade(free, cells, directions, upper, numbers, whole, out):
 
 @fast_jit
 def _merge(frame, real):
-    if not asks_version(frame):
+    if not answers_version_query(frame):
         _cascade(
             matrix(frame, 0, real), matrix(frame, 1, real), matrix(frame, 2, real),
             matrix(frame, 3, real), vector(frame, 4, real), vector(frame, 5, np.int32),

@@ -9,7 +9,7 @@ import numpy as np
 
 from godfit.flatland.walk_kernel import LEFT, first_step, walk
 from godfit.runtime.numba_jit import fast_jit
-from godfit.runtime.xla_ffi import asks_version, matrix, result, vector
+from godfit.runtime.xla_ffi import answers_version_query, matrix, result, vector
 
 
 @fast_jit
@@ -97,7 +97,7 @@ def _pulled(free, cells, directions, sky, turn, numbers, whole, pull, out):
 
 @fast_jit
 def _tangent(frame, real):
-    if not asks_version(frame):
+    if not answers_version_query(frame):
         _moved(
             matrix(frame, 0, real), matrix(frame, 1, real), matrix(frame, 2, real),
             matrix(frame, 3, real), matrix(frame, 4, np.int32), vector(frame, 5, real),
@@ -109,7 +109,7 @@ def _tangent(frame, real):
 
 @fast_jit
 def _transpose(frame, real):
-    if not asks_version(frame):
+    if not answers_version_query(frame):
         _pulled(
             matrix(frame, 0, real), matrix(frame, 1, real), matrix(frame, 2, real),
             matrix(frame, 3, real), matrix(frame, 4, np.int32), vector(frame, 5, real),

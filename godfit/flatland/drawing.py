@@ -160,9 +160,9 @@ def _shape(table: Table) -> Shape:
             default = 0.0 if name == "angle" else None
             numbers[name] = table.number(name, default, -np.inf if name == "angle" else 0.0)
         elif count == 2:
-            numbers[name] = _numbers(table, name, (2,), above=0.0 if name == "size" else -np.inf)
+            numbers[name] = table.numbers(name, 2, above=0.0 if name == "size" else -np.inf)
         else:
-            numbers[name] = _numbers(table, name, (None, 2))
+            numbers[name] = table.points(name)
     opacity = table.number("opacity", 1.0)
     if not 0 <= opacity <= 1:
         raise table.error("opacity", "a number from 0 to 1", f"{opacity:g}")
@@ -175,28 +175,7 @@ def _radiance(table: Table, key: str) -> list[float]:
     value = table.get(key, "#000000", "a colour")
     if isinstance(value, str):
         return list(table.colour(key, "#000000"))
-    found = _numbers(table, key, (3,))
+    found = table.numbers(key, 3)
     if min(found) < 0:
         raise table.error(key, "three numbers of 0 or more", repr(value))
     return found
-
-
-def _numbers(table: Table, key: str, shape: tuple, above: float = -np.inf) -> list:
-    expected = "two numbers" if shape == (2,) else "three numbers"
-    if shape == (None, 2):
-        expected = "three or more places [x, y]"
-    if above > -np.inf:
-        expected += f" above {above:g}"
-    value = table.get(key, None, expected)
-    try:
-        found = np.array(value, float)
-    except (TypeError, ValueError):
-        found = np.full(0, np.nan)
-    right = found.ndim == len(shape) and all(
-        n in (m, None) for n, m in zip(shape, found.shape, strict=True)
-    )
-    if shape == (None, 2):
-        right = right and found.shape[0] >= 3
-    if not right or not (np.isfinite(found) & (found > above)).all():
-        raise table.error(key, expected, repr(value))
-    return found.tolist()

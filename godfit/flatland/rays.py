@@ -28,7 +28,7 @@ from godfit.flatland import cascade_kernel, derivative_kernel, render_kernel
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.jump_flood import jump_flood
 from godfit.flatland.walk_kernel import FILLED, OUTSIDE
-from godfit.runtime.xla_ffi import declare, made_known
+from godfit.runtime.xla_ffi import declare, register
 
 NAMES = declare(
     "godfit_flatland",
@@ -153,7 +153,7 @@ def _numbers(given: Prepared, how) -> tuple[tuple, list[int]]:
 def call(kind: str, shape: tuple[int, ...], dtype, *arguments):
     """A compiled function's result."""
     name = NAMES[kind, dtype == jnp.float64]
-    made_known(name)
+    register(name)
     made = jax.ffi.ffi_call(name, jax.ShapeDtypeStruct(shape, dtype), vmap_method="sequential")
     return made(*arguments)
 

@@ -21,7 +21,7 @@ from godfit.flatland.walk_kernel import (
     walk,
 )
 from godfit.runtime.numba_jit import fast_jit
-from godfit.runtime.xla_ffi import asks_version, matrix, result, vector
+from godfit.runtime.xla_ffi import answers_version_query, matrix, result, vector
 
 
 @fast_jit
@@ -192,7 +192,7 @@ def _picture(free, cells, directions, sky, turn, numbers, whole, out):
 
 @fast_jit
 def _render(frame, real):
-    if not asks_version(frame):
+    if not answers_version_query(frame):
         _picture(
             matrix(frame, 0, real), matrix(frame, 1, real), matrix(frame, 2, real),
             matrix(frame, 3, real), matrix(frame, 4, np.int32), vector(frame, 5, real),

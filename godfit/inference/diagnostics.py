@@ -288,7 +288,7 @@ def _second_light(picture, model, full, pixels, tangent):
     if mask.shape != (2 * side, 2 * side):
         return
     rays = np.asarray(read_rays(mask, lights.astype(np.float32), points), np.float64)
-    # STEPS equal steps to the light; the rays end at density.
+    # RAY_STEPS equal steps to the light; the rays end at density.
     steps = rays.shape[1]
     t = (np.arange(steps) + 0.5) / steps
     kappa = -model.samples * np.log(max(float(model.decay), 1e-6)) / max(float(model.density), 1e-3)

@@ -19,7 +19,7 @@ from godfit.io.filters import grey
 from godfit.io.image import LEVELS
 from godfit.models.mitchell import Mitchell, resampled
 from godfit.runtime.parallel import cores, parallel_map
-from godfit.scattering.radial.spacings_kernel import left
+from godfit.scattering.radial.spacings_kernel import residual_squares
 
 FEW, MORE, KEEP = 128, 4096, 12
 LEAST, MOST = 8, 320
@@ -71,7 +71,9 @@ class _Scan:
             numbers = np.zeros((len(part), 5))
             numbers[:, 0], numbers[:, 1] = u * w - 0.5, (1 - v) * h - 0.5
             numbers[:, 2], numbers[:, 3] = np.exp(-self.kappa * steps), steps
-            return left(self.mask, self.at, numbers, counts, self.shows_own, self.target)
+            return residual_squares(
+                self.mask, self.at, numbers, counts, self.shows_own, self.target
+            )
 
         return np.concatenate(parallel_map(of, parts))
 

@@ -1,4 +1,4 @@
-"""Images averaged: over cells, over channels, or blurred."""
+"""Images averaged over cells or channels, and blurred."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scipy import ndimage
 
 
 def shrink(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """(h, w, ...) averaged over cells onto at most ``size`` rows and columns."""
+    """(h, w, ...) averaged over cells onto at most ``size`` rows and columns; float32."""
     out = image
     for axis in (0, 1):
         length = image.shape[axis]
@@ -18,7 +18,7 @@ def shrink(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         if count == length:
             continue
         if length % count == 0:
-            # Line by line it takes a tenth of the time.
+            # Adding whole lines takes a tenth of the time of ``reduceat``.
             step, lines = length // count, np.moveaxis(out, axis, 0)
             total = lines[::step].astype(np.float64)
             for first in range(1, step):
@@ -32,8 +32,10 @@ def shrink(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def over_channels(combine: np.ufunc, image: np.ndarray) -> np.ndarray:
-    """(h, w) the channels of an image (h, w, c) taken together: for three at a time NumPy's own
-    sums over an axis take fifteen times as long."""
+    """(h, w) the channels of an image (h, w, c) combined, as in ``over_channels(np.add, image)``.
+
+    NumPy's own reduction over an axis of length three takes fifteen times as long.
+    """
     return functools.reduce(combine, np.moveaxis(image, -1, 0))
 
 
@@ -45,14 +47,15 @@ def grey(image: np.ndarray) -> np.ndarray:
 def blurred(image: np.ndarray, sigma: float) -> np.ndarray:
     """(h, w, ...) blurred with a standard deviation of about ``sigma`` pixels, clamped to the edge.
 
-    By a tent, two boxes, whose cost does not grow with its width: which blur it is does not matter
-    to those who blur two images alike."""
-    width = _width(sigma)
+    The kernel is a tent, the convolution of two boxes, whose cost does not grow with its width. It
+    stands in for a Gaussian where two images are blurred alike and the shape does not matter.
+    """
+    width = _box_width(sigma)
     if image.ndim == 3:
         return np.stack([blurred(image[..., c], sigma) for c in range(image.shape[-1])], -1)
     image = np.pad(image, width - 1, mode="edge")
     for _ in range(2):
-        # Along rows, then along what were columns: across rows it takes four times as long.
+        # Along rows, then, transposed, along columns: across rows it takes four times as long.
         for _ in range(2):
             image = ndimage.uniform_filter1d(image, width, mode="nearest")
         image = np.ascontiguousarray(image.T)
@@ -60,19 +63,19 @@ def blurred(image: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def blurred_at(image: np.ndarray, sigma: float, pixels: np.ndarray) -> np.ndarray:
-    """(n, c) of ``blurred`` of an image (h, w, c) at row-major ``pixels``."""
-    width = _width(sigma)
-    reach = 2 * width - 1
+    """(n, c) ``blurred`` of an image (h, w, c), at row-major ``pixels`` (n,) alone."""
+    width = _box_width(sigma)
+    tent_width = 2 * width - 1
     tent = np.convolve(np.ones(width), np.ones(width)).astype(np.float32) / width**2
     row, column = np.divmod(pixels, image.shape[1])
-    found = []
+    channels = []
     for channel in np.moveaxis(image, -1, 0):
         padded = np.pad(channel, width - 1, mode="edge")
-        windows = np.lib.stride_tricks.sliding_window_view(padded, (reach, reach))
-        found.append(windows[row, column] @ tent @ tent)
-    return np.stack(found, -1)
+        windows = np.lib.stride_tricks.sliding_window_view(padded, (tent_width, tent_width))
+        channels.append(windows[row, column] @ tent @ tent)
+    return np.stack(channels, -1)
 
 
-def _width(sigma: float) -> int:
-    """Of the boxes of a blur, odd."""
+def _box_width(sigma: float) -> int:
+    """Width in pixels, odd, of the boxes of a blur: two of them have the variance ``sigma``^2."""
     return 2 * round((math.sqrt(6 * sigma**2 + 1) - 1) / 2) + 1

@@ -1,4 +1,4 @@
-"""The frames of a clip, one at a time: image files in their order, or those of a video."""
+"""The frames of a clip, one at a time: image files in order, or the frames of a video."""
 
 from __future__ import annotations
 
@@ -9,30 +9,33 @@ from pathlib import Path
 import numpy as np
 
 from godfit.errors import InputError
-from godfit.io.image import Image, decode, read_image
+from godfit.io.image import LEVELS, Image, decode, read_image
 
-VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
+VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
+"""Suffixes of the files that are decoded as videos."""
 
 
 def is_video(path: str | os.PathLike[str]) -> bool:
-    """Whether the name says that this is a video."""
-    return Path(path).suffix.lower() in VIDEOS
+    """Whether the name is that of a video."""
+    return Path(path).suffix.lower() in VIDEO_SUFFIXES
 
 
 def frames(paths: Sequence[str], every: int, transfer: str = "none") -> Iterator[Image]:
-    """Every so many frames of all the files ``paths``, counted through. Raises InputError for what
-    cannot be read, before the first frame where a file is missing."""
+    """Every ``every``-th frame of all the files ``paths``, numbered through from the first.
+
+    Raises InputError for a file that cannot be read; before the first frame if a file is missing.
+    """
     for path in paths:
         if not Path(path).is_file():
             raise InputError(f"'{path}': expected an image or a video, got no such file")
-    return _one_by_one(paths, every, transfer)
+    return _every(paths, every, transfer)
 
 
-def _one_by_one(paths: Sequence[str], every: int, transfer: str) -> Iterator[Image]:
+def _every(paths: Sequence[str], every: int, transfer: str) -> Iterator[Image]:
     count = 0
     for path in paths:
         if is_video(path):
-            for number, values in _of_video(path):
+            for number, values in _video_frames(path):
                 if count % every == 0:
                     yield _image(values, f"{path}#{number}", transfer)
                 count += 1
@@ -43,12 +46,12 @@ def _one_by_one(paths: Sequence[str], every: int, transfer: str) -> Iterator[Ima
 
 
 def _image(values: np.ndarray, name: str, transfer: str) -> Image:
-    linear = decode(values.astype(np.float32) / np.float32(255), transfer)
-    return Image(np.asarray(linear), 1 / 255, transfer, name, "")
+    linear = decode(values.astype(np.float32) / np.float32(LEVELS), transfer)
+    return Image(np.asarray(linear), 1 / LEVELS, transfer, name, "")
 
 
-def _of_video(path: str) -> Iterator[tuple[int, np.ndarray]]:
-    """(number, (h, w, 3) bytes) of every frame; decoded one at a time."""
+def _video_frames(path: str) -> Iterator[tuple[int, np.ndarray]]:
+    """(number from 1, (h, w, 3) bytes) of every frame; decoded one at a time."""
     import imageio.v3 as iio
 
     try:

@@ -1,9 +1,9 @@
-"""Image files <-> linear float32 arrays, refusing rather than losing bits.
+"""Image files <-> linear float32 arrays; a file that would lose bits is refused.
 
 Arrays are (height, width) or (height, width, 3), row 0 at the top, 1.0 = the brightest level.
-A format is recognised by the file's first bytes, never by its name. The readers, each the one
-which keeps every bit of its format: imagecodecs for PNG (Pillow and imageio cut 16-bit colour
-to 8), Pillow for JPEG (the only one which notices a cut file), tifffile, OpenEXR and numpy.
+A format is recognised by the file's first bytes, never by its name. Each format has the reader that
+keeps all of its bits: imagecodecs for PNG (Pillow and imageio cut 16-bit colour to 8), Pillow for
+JPEG (no other raises for a file that is cut short), tifffile, OpenEXR and numpy.
 """
 
 from __future__ import annotations
@@ -25,26 +25,34 @@ from godfit.runtime.files import atomic_write
 
 LEVELS = 255.0
 """8-bit levels from black to white; residuals and noise are given in them."""
-
 TRANSFERS = ("none", "srgb")
-FORMATS = "PNG, JPEG, TIFF, EXR or .npy"
-MAX_PIXELS = 2**29  # above this a header is taken for damage or a decompression bomb
+"""Transfer functions by which files may be encoded."""
+IMAGE_FORMATS = "PNG, JPEG, TIFF, EXR or .npy"
+"""Formats that are read, as errors name them."""
+MAX_PIXELS = 2**29
+"""Pixels above which a header counts as damaged or a decompression bomb."""
+SRGB_LINEAR_END = 0.04045
+"""Encoded value at which sRGB's linear segment ends and its power begins (IEC 61966-2-1)."""
+SRGB_LINEAR_END_DECODED = 0.0031308
+"""The same in linear light."""
+VALUES_PER_STRIDE = 2**18
+"""Values that are converted at a time: the float64 copies of a whole image would take too much."""
 
 
 @dataclass(frozen=True, eq=False)  # == on arrays has no single truth value
 class Image:
-    """An image in linear light and what is known of how it was stored."""
+    """An image in linear light, and how it was stored."""
 
     values: np.ndarray  # float32, (h, w) or (h, w, 3), linear
     quantum: float | None  # step of the encoded values: 1/255, 1/65535, or None for floats
     transfer: str  # "none" or "srgb"
     path: str  # as given; "" if made in memory
-    sha256: str  # of the file's bytes
+    sha256: str  # hash of the file's bytes
     notes: tuple[str, ...] = ()  # plain sentences on anything dropped or doubtful
 
     @property
     def encoded(self) -> np.ndarray:
-        """float32 values in the file's own encoding; k * quantum, but for float32 rounding."""
+        """float32 values in the file's own encoding: k * quantum, up to float32 rounding."""
         if self.transfer == "none":
             return self.values
         return _by_rows(lambda rows: encode(rows, self.transfer), self.values, np.float32)
@@ -53,30 +61,30 @@ class Image:
 def decode(x: Any, transfer: str) -> Any:
     """Encoded -> linear (IEC 61966-2-1 for "srgb"), elementwise on a numpy or jax float array.
 
-    Below 0 the linear segment goes on, above 1 the power. Raises InputError for an unknown
+    The linear segment continues below 0, the power above 1. Raises InputError for an unknown
     transfer.
     """
-    if _known(transfer) == "none":
+    if _checked_transfer(transfer) == "none":
         return x
     xp = x.__array_namespace__()
     # The maximum keeps the unused branch of the where, and its gradient, finite.
-    power = ((xp.maximum(x, 0.04045) + 0.055) / 1.055) ** 2.4
-    return xp.where(x <= 0.04045, x / 12.92, power)
+    power = ((xp.maximum(x, SRGB_LINEAR_END) + 0.055) / 1.055) ** 2.4
+    return xp.where(x <= SRGB_LINEAR_END, x / 12.92, power)
 
 
 def encode(x: Any, transfer: str) -> Any:
-    """Linear -> encoded: the inverse of decode, on the same arrays, with the same errors."""
-    if _known(transfer) == "none":
+    """Linear -> encoded: the inverse of ``decode``, on the same arrays, with the same errors."""
+    if _checked_transfer(transfer) == "none":
         return x
     xp = x.__array_namespace__()
-    power = 1.055 * xp.maximum(x, 0.0031308) ** (1 / 2.4) - 0.055
-    return xp.where(x <= 0.0031308, x * 12.92, power)
+    power = 1.055 * xp.maximum(x, SRGB_LINEAR_END_DECODED) ** (1 / 2.4) - 0.055
+    return xp.where(x <= SRGB_LINEAR_END_DECODED, x * 12.92, power)
 
 
 def read_image(path: str | os.PathLike[str], *, transfer: str = "none") -> Image:
-    """Read a PNG, JPEG, TIFF, EXR or .npy file; the transfer is undone, alpha is dropped.
+    """Read a PNG, JPEG, TIFF, EXR or .npy file; values are decoded to linear, alpha is dropped.
 
-    Raises InputError, naming the path, for anything which cannot be read whole and exactly.
+    Raises InputError, naming the path, for a file that cannot be read whole and exactly.
     """
     image, alpha = read_layer(path, transfer=transfer)
     if alpha is None or (alpha >= 1).all():
@@ -88,15 +96,17 @@ def read_image(path: str | os.PathLike[str], *, transfer: str = "none") -> Image
 def read_layer(
     path: str | os.PathLike[str], *, transfer: str = "none"
 ) -> tuple[Image, np.ndarray | None]:
-    """As ``read_image``, and the alpha channel, (h, w) float32 from 0 to 1, None without one."""
-    _known(transfer)
+    """As ``read_image``, with the alpha channel, (h, w) float32 from 0 to 1; None without one."""
+    _checked_transfer(transfer)
     name = os.fsdecode(path)
     try:
         with open(name, "rb") as file:
             data = file.read()
     except (OSError, ValueError) as error:  # ValueError: a null character in the path
         reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{name!r}: cannot be read ({reason}); expected {FORMATS}") from error
+        raise InputError(
+            f"{name!r}: cannot be read ({reason}); expected {IMAGE_FORMATS}"
+        ) from error
     kind, reader = _recognise(data, name)
     digest, notes = hashlib.sha256(data).hexdigest(), []
     try:
@@ -117,7 +127,7 @@ def write_image(
     PNG: encoded with the transfer, clipped to [0, 1], rounded half up to the nearest level.
     .npy: float32, linear, whatever the transfer. Raises InputError.
     """
-    _known(transfer)
+    _checked_transfer(transfer)
     name = os.fsdecode(path)
     suffix = os.path.splitext(name)[1].lower()
     if suffix not in (".png", ".npy"):
@@ -131,7 +141,7 @@ def write_image(
     try:
         _check_shape(values.shape)
         with np.errstate(over="ignore"):
-            values = _finite(values.astype(np.float32, copy=False))
+            values = _checked_finite(values.astype(np.float32, copy=False))
         if suffix == ".npy":
             stream = io.BytesIO()
             np.save(stream, values, allow_pickle=False)
@@ -153,16 +163,17 @@ def write_image(
         raise InputError(f"{name!r}: cannot be written: {reason}") from error
 
 
-def _known(transfer: str) -> str:
+def _checked_transfer(transfer: str) -> str:
     if transfer not in TRANSFERS:
         raise InputError(f"expected transfer 'none' or 'srgb', got {transfer!r}")
     return transfer
 
 
 def _by_rows(function: Callable[[Any], Any], source: np.ndarray, dtype: Any) -> np.ndarray:
-    """The elementwise function of source, in float64 where it is float, a few rows at a time."""
+    """The elementwise ``function`` of ``source``, computed in float64 where that is float, on
+    a few rows at a time."""
     out = np.empty(source.shape, dtype)
-    step = max(1, 2**18 // source[0].size)
+    step = max(1, VALUES_PER_STRIDE // source[0].size)
     for start in range(0, len(source), step):
         rows = source[start : start + step]
         out[start : start + step] = function(
@@ -171,14 +182,14 @@ def _by_rows(function: Callable[[Any], Any], source: np.ndarray, dtype: Any) -> 
     return out
 
 
-def _finite(values: np.ndarray) -> np.ndarray:
+def _checked_finite(values: np.ndarray) -> np.ndarray:
     if not np.isfinite(values).all():
         raise InputError("expected finite float32 values, got NaN or infinity; replace them first")
     return values
 
 
 def _check_shape(shape: tuple[int, ...]) -> None:
-    """Refuse an empty, huge or wrongly shaped image, if possible before it is decoded."""
+    """Raise for an empty, huge or wrongly shaped image, if possible before it is decoded."""
     if len(shape) not in (2, 3) or (len(shape) == 3 and not 1 <= shape[2] <= 4):
         raise InputError(f"expected a shape (h, w) or (h, w, 1 to 4), got {shape}")
     if not 0 < shape[0] * shape[1] <= MAX_PIXELS or min(shape) < 0:
@@ -188,8 +199,8 @@ def _check_shape(shape: tuple[int, ...]) -> None:
 def _linear(
     codes: np.ndarray, transfer: str, notes: list[str]
 ) -> tuple[np.ndarray, float | None, np.ndarray | None]:
-    """The stored samples (h, w[, 1 to 4]) -> linear float32 values, quantum and alpha, which no
-    transfer concerns; adds to notes."""
+    """The stored samples (h, w[, 1 to 4]) -> linear float32 values, quantum and alpha, to which no
+    transfer applies; adds to ``notes``."""
     _check_shape(codes.shape)
     kind = codes.dtype.newbyteorder("=").name
     if kind not in ("uint8", "uint16", "float16", "float32", "float64"):
@@ -207,8 +218,8 @@ def _linear(
     if codes.dtype.kind == "u":
         table = decode(np.arange(top + 1) / top, transfer).astype(np.float32)
         return _by_rows(lambda rows: table[rows], codes, np.float32), 1 / top, alpha
-    with np.errstate(over="ignore", invalid="ignore"):  # _finite reports them
-        values = _finite(_by_rows(lambda rows: decode(rows, transfer), codes, np.float32))
+    with np.errstate(over="ignore", invalid="ignore"):  # _checked_finite reports them
+        values = _checked_finite(_by_rows(lambda rows: decode(rows, transfer), codes, np.float32))
     return values, None, alpha
 
 
@@ -216,7 +227,7 @@ def _linear(
 def _quiet() -> Iterator[None]:
     """Silence decoders: libpng and OpenEXR write to descriptor 2, OpenEXR also to sys.stdout.
 
-    Nothing is lost: each reader finds truncation by itself and raises.
+    No error is lost: every reader checks by itself that the file is whole, and raises.
     """
     with (
         open(os.devnull, "w") as null,
@@ -240,7 +251,7 @@ def _note_orientation(orientation: int, notes: list[str]) -> None:
 def _read_png(data: bytes, notes: list[str]) -> np.ndarray:
     import imagecodecs
 
-    # libpng leaves the last chunks unread, so that a cut or damaged tail would pass.
+    # libpng does not read the last chunks, so a cut or damaged tail would pass.
     kinds: set[bytes] = set()
     view, start = memoryview(data), 8
     while b"IEND" not in kinds:
@@ -265,7 +276,7 @@ def _read_png(data: bytes, notes: list[str]) -> np.ndarray:
 
 
 def _read_jpeg(data: bytes, notes: list[str]) -> np.ndarray:
-    # Not PIL.Image.open, which has its own, lower size limit.
+    # PIL.Image.open has its own, lower size limit.
     from PIL.JpegImagePlugin import JpegImageFile
 
     notes.append("JPEG is lossy: rounding intervals are not exact.")
@@ -283,9 +294,10 @@ def _read_tiff(data: bytes, notes: list[str]) -> np.ndarray:
 
     with tifffile.TiffFile(io.BytesIO(data)) as tiff:
         page = tiff.pages.first
-        more = len(tiff.pages) > 1  # reads to the last page, whose pointer to the next must be 0
-        more |= any(data[tiff.pages.next_page_offset :][: tiff.tiff.offsetsize])
-        if more or not isinstance(page, tifffile.TiffPage):
+        # Reads up to the last page, whose pointer to the next must be 0.
+        several = len(tiff.pages) > 1
+        several |= any(data[tiff.pages.next_page_offset :][: tiff.tiff.offsetsize])
+        if several or not isinstance(page, tifffile.TiffPage):
             raise InputError("expected one page, got several; save the wanted page by itself")
         _check_shape((page.imagelength, page.imagewidth))
         colours = {0: 0, 1: 1, 2: 3}.get(page.photometric, 0)  # black is 0; RGB
@@ -321,7 +333,7 @@ def _read_exr(data: bytes, notes: list[str]) -> np.ndarray:
     if not np.array_equal(window, header["displayWindow"]):
         notes.append("Only the data window was read; it is not the whole display window.")
     file = OpenEXR.File(io.BytesIO(data))
-    if not file.parts:  # all that OpenEXR does when the pixels cannot be decoded
+    if not file.parts:  # OpenEXR's only sign that the pixels could not be decoded
         raise InputError("the file is cut short or damaged; copy or save it again")
     channels = file.channels()
     colour = next((key for key in ("RGBA", "RGB", "Y") if key in channels), None)
@@ -337,7 +349,7 @@ def _read_exr(data: bytes, notes: list[str]) -> np.ndarray:
 
 
 def _read_npy(data: bytes, notes: list[str]) -> np.ndarray:
-    # Not np.load: this copies nothing, can never unpickle, and sees the shape beforehand.
+    # Unlike np.load this copies nothing, never unpickles, and checks the shape before any sample.
     stream = io.BytesIO(data)
     version = np.lib.format.read_magic(stream)
     if version == (1, 0):
@@ -354,8 +366,8 @@ def _read_npy(data: bytes, notes: list[str]) -> np.ndarray:
     return flat.reshape(shape, order="F" if fortran else "C")
 
 
-# The reader of a format: (the file's bytes, notes to add to) -> stored samples (h, w[, 1 to 4]).
 _Reader = Callable[[bytes, list[str]], np.ndarray]
+"""The reader of a format: (file's bytes, notes to add to) -> stored samples (h, w[, 1 to 4])."""
 _READERS: dict[bytes, tuple[str, _Reader]] = {
     b"\x89PNG\r\n\x1a\n": ("PNG", _read_png),
     b"\xff\xd8\xff": ("JPEG", _read_jpeg),
@@ -366,13 +378,17 @@ _READERS: dict[bytes, tuple[str, _Reader]] = {
     b"v/1\x01": ("EXR", _read_exr),
     b"\x93NUMPY": (".npy", _read_npy),
 }
+"""Name and reader of each format, by the file's first bytes."""
 _REFUSED = {b"GIF8": "GIF", b"BM": "BMP", b"RIFF": "WebP", b"#?R": "Radiance HDR", b"": "no image"}
+"""Names of formats that are not read, by the file's first bytes."""
 
 
 def _recognise(data: bytes, name: str) -> tuple[str, _Reader]:
-    for magic, found in _READERS.items():
+    for magic, reader in _READERS.items():
         if data.startswith(magic):
-            return found
+            return reader
     got = next(text for magic, text in _REFUSED.items() if data.startswith(magic))
     got = f"{got} (first bytes {data[:8]!r})" if data else "an empty file"
-    raise InputError(f"{name!r}: expected {FORMATS}, got {got}; convert it to 16-bit PNG or EXR")
+    raise InputError(
+        f"{name!r}: expected {IMAGE_FORMATS}, got {got}; convert it to 16-bit PNG or EXR"
+    )

@@ -1,4 +1,4 @@
-"""Images as users give them: files, arrays, and what is done to masks before they are summed."""
+"""Images as users give them: files, arrays, and masks made from them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,11 @@ Source = str | os.PathLike[str] | np.ndarray | Image
 
 
 def read_source(source: Source, transfer: str) -> Image:
-    """A file, an ``Image`` as it is, or an array; see ``godfit.fit``."""
+    """The image of a path or an array; an ``Image`` is returned as it is.
+
+    Arrays (h, w) or (h, w, 3) hold encoded values: bytes and 16-bit integers up to their largest,
+    floats up to 1. Raises InputError for other shapes, and for numbers that are not finite.
+    """
     if isinstance(source, Image):
         return source
     if isinstance(source, (str, os.PathLike)):
@@ -31,7 +35,8 @@ def read_source(source: Source, transfer: str) -> Image:
 
 
 def occluder_mask(occluder: Image, target: Image) -> np.ndarray:
-    """(h, w) True where the image is not black."""
+    """(h, w) True where the occluder's image is not black. Raises InputError for a size other than
+    the target's."""
     (h, w), (height, width) = target.values.shape[:2], occluder.values.shape[:2]
     if (h, w) != (height, width):
         raise InputError(
@@ -42,7 +47,10 @@ def occluder_mask(occluder: Image, target: Image) -> np.ndarray:
 
 
 def shrink_mask(mask: np.ndarray, pass_scale: float) -> np.ndarray:
-    """The mask at the light pass's own size, averaged over cells."""
+    """The mask (h, w, ...) averaged over cells to the light pass's size, ``pass_scale`` of its own.
+
+    Raises InputError for a scale that is not above 0 and at most 1.
+    """
     if not 0 < pass_scale <= 1:
         raise InputError(f"pass scale: expected a number above 0, at most 1, got {pass_scale:g}")
     if pass_scale == 1:

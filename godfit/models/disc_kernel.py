@@ -18,8 +18,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from godfit.runtime.numba_jit import fast_jit, inlined_jit
-from godfit.runtime.xla_ffi import asks_version, declare, made_known, matrix, result, vector
-from godfit.scattering.radial.derivatives import Numbers
+from godfit.runtime.xla_ffi import answers_version_query, declare, matrix, register, result, vector
+from godfit.scattering.radial.derivatives import RayParameters
 from godfit.scattering.taps import Count
 
 # Points that are summed side by side; of how many more calls are made than one, and how many: XLA
@@ -46,7 +46,7 @@ class Lit(NamedTuple):
 def disc_pass(
     open_: Float[Array, "h w"],
     at: Float[Array, "2 n"],
-    numbers: Numbers,
+    numbers: RayParameters,
     shape: Float[Array, " 3"],
     count: Count,
     cut: int,
@@ -311,7 +311,7 @@ def lit(open_, at, numbers, count, cut, out):
 
 @inlined_jit
 def _points(frame, real):
-    if not asks_version(frame):
+    if not answers_version_query(frame):
         open_, at = matrix(frame, 0, real), matrix(frame, 1, real)
         whole = vector(frame, 3, np.int32)
         lit(open_, at, vector(frame, 2, real), whole[0], whole[1], result(frame, real))
@@ -331,7 +331,7 @@ NAMES = declare("godfit_disc", {False: _single, True: _double})
 
 def target(double: bool) -> str:
     """The name of the compiled function, which XLA knows from now on."""
-    made_known(NAMES[double])
+    register(NAMES[double])
     return NAMES[double]
 
 

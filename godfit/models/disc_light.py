@@ -24,7 +24,11 @@ from godfit.models.tinted import TINT
 from godfit.runtime.device import on_device
 from godfit.scattering.parameters import SCATTERING, Parameter, light_parameters
 from godfit.scattering.radial.coordinates import to_pixels
-from godfit.scattering.radial.derivatives import Numbers, is_zero, partial_derivatives
+from godfit.scattering.radial.derivatives import (
+    RayParameters,
+    is_symbolic_zero,
+    partial_derivatives,
+)
 from godfit.scattering.radial.exact import fastest
 from godfit.scattering.taps import Convention, Count, Taps, number_of
 from godfit.scattering.upsample import Texels, at_pixels
@@ -277,7 +281,7 @@ class DiscLight(AbstractModel):
         @functools.partial(value.defjvp, symbolic_zeros=True)
         def _(primals, tangents):
             (numbers, open_, at), (along, *others) = primals, tangents
-            if not all(map(is_zero, jax.tree.leaves(others))):
+            if not all(map(is_symbolic_zero, jax.tree.leaves(others))):
                 raise ValueError("a disc's light pass is differentiable in its own numbers alone")
             out, by_first, by_rest = self._with(numbers)._summed(open_, at, method, True)
             d_out = jnp.tensordot(along[:6], by_first, 1)
@@ -321,7 +325,7 @@ class DiscLight(AbstractModel):
 
         (taps,), shader = self.taps, self._numbers[:4]
         own, first, ratio, step = taps_of(shader)
-        numbers = Numbers(
+        numbers = RayParameters(
             *to_pixels(self.light[0].astype(dtype), *size), ratio, step, jnp.asarray(taps.lag)
         )
         where = at.reshape(-1, 2).T.astype(dtype)

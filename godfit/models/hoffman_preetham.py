@@ -20,7 +20,7 @@ from godfit.models.base import AbstractModel, Vector
 from godfit.scattering.parameters import Parameter, light_parameters
 from godfit.scattering.radial import radial_sum
 from godfit.scattering.radial.exact import at_run_time
-from godfit.scattering.taps import Count, average
+from godfit.scattering.taps import Count, averaging_taps
 from godfit.scattering.upsample import Texels, at_pixels
 
 AIR = (
@@ -165,7 +165,7 @@ class HoffmanPreetham(AbstractModel):
         method: str = "auto",
     ) -> Float[Array, "..."]:
         """1 - D, as ``Mitchell.light_pass``."""
-        return radial_sum(mask, self.light[0], average(self.samples), at=at, method=method)
+        return radial_sum(mask, self.light[0], averaging_taps(self.samples), at=at, method=method)
 
     def __call__(
         self,

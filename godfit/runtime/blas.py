@@ -1,9 +1,9 @@
 """Linear algebra on one thread.
 
-A fit's matrices are tall and thin, and OpenBLAS's threads take longer to share one than it takes.
-Where another program, or another thread of this one, has one of the cores they wait for each other
-on top of that: 112 ms for a QR of 9,216 x 12 values on two threads, 1.6 on one; 1.9 s for seventeen
-of a search's questions about shadows, asked by two threads, and .8 where BLAS has one.
+A fit's matrices are tall and thin: OpenBLAS needs longer to distribute one over its threads than to
+factor it on one. BLAS threads also wait for each other where another program, or another thread of
+this one, occupies a core. A QR of 9,216 x 12 values took 112 ms on two threads and 1.6 ms on one.
+Seventeen shadow searches, started by two threads, took 1.9 s, and 0.8 s with one BLAS thread.
 """
 
 from __future__ import annotations
@@ -15,33 +15,35 @@ from contextlib import contextmanager
 
 from threadpoolctl import ThreadpoolController
 
-# How many are inside, and what restores the threads when the last has left: the number is the
-# process's, and whoever left first would leave the others with many, or everybody with one.
+# The thread count belongs to the process, not to a thread. So entries are counted, and only the
+# last exit restores it: an earlier one would change the count for those still inside, and a
+# restore of a count that was saved inside would leave the process with one thread.
 _lock = threading.Lock()
-_inside = 0
-_limited = None
+_entered = 0
+_limit = None
 
 
 @contextmanager
 def one_thread() -> Generator[None]:
-    """LAPACK and BLAS use one thread within; from any number of threads at a time."""
-    global _inside, _limited
+    """LAPACK and BLAS use one thread inside; any number of threads may enter at a time."""
+    global _entered, _limit
     with _lock:
-        if _inside == 0:
-            _limited = _libraries().limit(limits=1, user_api="blas")
-        _inside += 1
+        if _entered == 0:
+            _limit = _libraries().limit(limits=1, user_api="blas")
+        _entered += 1
     try:
         yield
     finally:
         with _lock:
-            _inside -= 1
-            if _inside == 0 and _limited is not None:
-                _limited.restore_original_limits()
+            _entered -= 1
+            if _entered == 0 and _limit is not None:
+                _limit.restore_original_limits()
 
 
 @functools.cache
 def _libraries() -> ThreadpoolController:
-    # JAX loads it, for its LAPACK, only when something is decomposed.
+    # JAX loads scipy's LAPACK only at its first decomposition; the controller lists only libraries
+    # that are loaded.
     import scipy.linalg  # noqa: F401
 
     return ThreadpoolController()

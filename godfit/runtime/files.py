@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Files that are written whole or not at all."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import secrets
 
 
 def atomic_write(path: str | os.PathLike[str], data: bytes) -> None:
-    """Write data to path, which then holds all of it or is as it was. Raises OSError.
+    """Write all of ``data`` to ``path``, or leave ``path`` unchanged. Raises OSError.
 
-    The file is a new one with the umask's permissions, even where an old one is replaced.
+    The file is a new one with the umask's permissions, even where it replaces an old one.
     """
     name = os.fsdecode(path)
     temporary = os.path.join(os.path.dirname(name), f".{secrets.token_hex(8)}.tmp")
     try:
-        with open(temporary, "xb") as file:  # unlike tempfile's, open to whom the umask lets
+        with open(temporary, "xb") as file:  # not tempfile, which ignores the umask
             file.write(data)
             file.flush()
             os.fsync(file.fileno())  # the name must not reach the disk before the bytes

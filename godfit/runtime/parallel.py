@@ -1,4 +1,4 @@
-"""Independent pieces of work, each too small for every core, on a thread a core."""
+"""Independent pieces of work, each too small for every core, on one thread per core."""
 
 from __future__ import annotations
 
@@ -15,41 +15,44 @@ Result = TypeVar("Result")
 
 
 def cores() -> int:
-    """Those that this process may use."""
+    """Number of cores that this process may use."""
     affinity = getattr(os, "sched_getaffinity", None)
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
 def parallel_map(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """``work`` of every item, in their order. In single precision, as the program is: JAX's
-    settings are a thread's own."""
+    """``work`` of every item, in the items' order, computed in single precision."""
     return list(parallel_imap(work, items))
 
 
 def map_halves(
-    work: Callable[[np.ndarray], Iterable], items: np.ndarray, share: int = 1
+    work: Callable[[np.ndarray], Iterable], items: np.ndarray, multiple_of: int = 1
 ) -> tuple[np.ndarray, ...]:
-    """What ``work`` makes of ``items`` (n, ...), arrays (n, ...), from half of them on each of two
-    cores. Halves are equal and a multiple of ``share`` long, the last item comes more than once:
-    for another number a program would be compiled anew."""
-    each = share * -(-len(items) // (2 * share))
-    rows = np.arange(2 * each).clip(max=len(items) - 1).reshape(2, each)
+    """The arrays (n, ...) that ``work`` returns for ``items`` (n, ...), one half of the items on
+    each of two cores.
+
+    Both halves have one length, a multiple of ``multiple_of``: the last item is repeated, because
+    another length would compile another program.
+    """
+    length = multiple_of * -(-len(items) // (2 * multiple_of))
+    rows = np.arange(2 * length).clip(max=len(items) - 1).reshape(2, length)
     halves = parallel_map(lambda half: [np.asarray(z) for z in work(items[half])], rows)
     return tuple(np.concatenate(both)[: len(items)] for both in zip(*halves, strict=True))
 
 
 def parallel_imap(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-    """As ``parallel_map``, but each result as soon as it is there: the others are worked on while
-    it is used."""
+    """As ``parallel_map``, but yields each result when it is ready, while the threads compute the
+    later ones."""
 
-    def single(item: Item) -> Result:
+    def in_single_precision(item: Item) -> Result:
+        # JAX's settings belong to a thread, so a new thread does not have the caller's.
         with jax.enable_x64(False):
             return work(item)
 
     items = list(items)
     threads = min(cores(), len(items))
     if threads < 2:
-        yield from map(single, items)
+        yield from map(in_single_precision, items)
         return
     with ThreadPoolExecutor(threads) as pool:
-        yield from pool.map(single, items)
+        yield from pool.map(in_single_precision, items)

@@ -1,17 +1,27 @@
-"""Programs kept whole from one run to the next: neither traced nor lowered nor compiled again.
+"""Compiled programs on disk, which a later run loads without tracing, lowering or compiling them.
 
-JAX's own cache spares a second run the compiling. What it does not spare, tracing Python and
-lowering what comes of it, is then a third of a short command. Here the executable itself is kept
-(``jax.experimental.serialize_executable``), under a name that says all that it depends on: the
-function, the shapes and settings that it was made for, this program's sources, the versions of JAX
-and numba, the processor and the flags of XLA. Whatever cannot be kept, or read again, is compiled.
+JAX's own cache saves a second run the compilation, but not tracing the Python function and lowering
+it to StableHLO, which is then a third of a short command. This cache stores the executable itself
+(``jax.experimental.serialize_executable``).
 
-To read one takes a twentieth of a second, with nothing to wait for but the file: those that were
-needed last time on a like occasion can be read before anybody asks for them.
+**What is stored.** The folder ``programs-<hash>`` holds one file per program. The hash is that of
+everything that all programs depend on: this package's sources, the versions of JAX, numba and
+Python, the processor, the flags of XLA. A file's name is a hash of what distinguishes one program
+from another: the function, the shapes and types of its arrays, its settings. Its content is a
+pickle of three things: the names of the custom calls in the program, the structure of its result,
+and the serialised executable. A program that cannot be stored, or whose file cannot be loaded, is
+compiled.
 
-An executable finds the functions that it calls by their names. Those of ``radial/foreign.py`` are
-known to XLA, and LAPACK's to JAX, only when something that needs them has been lowered: here they
-are made known first.
+**What is read ahead.** Loading a program takes a twentieth of a second, on a thread that waits for
+nothing but the file. Each command therefore saves a list of the program files it has used, under
+its workload: the command's name, the image size and the settings, which determine the programs it
+needs. The next command with this workload loads the files of the list on a thread of its own,
+in the list's order, while the main thread reads images and meshes.
+
+**Custom calls.** An executable refers to the functions that it calls by name, and XLA must have a
+function registered under each name before the executable is loaded. JAX registers LAPACK's, and
+``godfit.runtime.xla_ffi`` the package's own, only when a program that calls them is lowered. A
+loaded program is never lowered, so the names that were stored with it are registered first.
 """
 
 from __future__ import annotations
@@ -38,232 +48,263 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from godfit.runtime.cache import cache_folder, newest_source
+from godfit.runtime.cache import cache_folder, newest_source_time
 from godfit.runtime.files import atomic_write
 
-CALLED = re.compile(r"custom_call @(\w+)")
-LAPACK = "lapack_"
-# XLA's newer emitter of fusions takes nearly twice as long to compile, and what it makes is no
-# faster here.
-QUICK = {"xla_cpu_use_fusion_emitters": False}
+Program = Callable[..., Any]
 
+CUSTOM_CALL = re.compile(r"custom_call @(\w+)")
+"""A custom call in the text of a lowered program, with the name of its target."""
+LAPACK_PREFIX = "lapack_"
+"""How the names of the custom calls begin that JAX registers for LAPACK."""
+COMPILER_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
+"""XLA's newer emitter of fusions takes nearly twice as long to compile, and the programs that it
+makes of this package's functions run no faster."""
+
+# The folder of the program files; None while the cache is disabled.
 _folder: Path | None = None
-_programs: dict[Any, Callable[..., Any]] = {}
+# The programs of this process, by function, settings and shapes, and a lock for each, so that two
+# threads do not compile the same one.
+_programs: dict[Any, Program] = {}
 _locks: dict[Any, threading.Lock] = {}
-# By the names of their files: those that are read ahead, and those that were needed, in order.
-_coming: dict[str, Future[Callable[..., Any] | None]] = {}
-_needed: dict[str, None] = {}
-_occasion = ""
+# Programs that are being read ahead, by the name of their file; None is the result for a file that
+# cannot be loaded.
+_preloads: dict[str, Future[Program | None]] = {}
+# Names of the files that this process has used, in order: a set, as dicts keep their order.
+_used_files: dict[str, None] = {}
+# The command, image size and settings of this process; empty before ``preload_programs``.
+_workload = ""
 
 
-def keep_programs() -> None:
-    """From now on, where there is a cache folder and the device is a CPU."""
+def enable_program_cache() -> None:
+    """Store and load programs from now on, if there is a cache folder and the device is a CPU."""
     global _folder
     folder = cache_folder()
     if folder is not None and jax.default_backend() == "cpu":
-        _folder = folder / f"programs-{_surroundings()}"
+        _folder = folder / f"programs-{_environment_hash()}"
 
 
-def forget_programs() -> None:
-    """Keep none from now on; those in memory are let go of."""
-    global _folder, _occasion
-    _folder, _occasion = None, ""
+def disable_program_cache() -> None:
+    """Store and load none from now on, and release the programs that are in memory."""
+    global _folder, _workload
+    _folder, _workload = None, ""
     _programs.clear()
     _locks.clear()
-    _coming.clear()
-    _needed.clear()
-    _in_memory.cache_clear()
+    _preloads.clear()
+    _used_files.clear()
+    _jit.cache_clear()
 
 
-def read_ahead(occasion: str) -> None:
-    """Read the programs that were needed on the last such occasion, in their order. For a thread of
-    its own, once all is imported that programs call."""
-    global _occasion
-    folder, _occasion = _folder, occasion
+def preload_programs(workload: str) -> None:
+    """Load the programs that the last command with this ``workload`` used, in its order.
+
+    Returns when all are loaded, so call it in a thread of its own, after the modules are imported
+    that define the custom calls.
+    """
+    global _workload
+    folder, _workload = _folder, workload
     if folder is None:
         return
     try:
-        names = _notes(folder).read_text().split()
+        names = _preload_list(folder).read_text().split()
     except OSError:
-        # The first of its kind.
+        # No earlier command had this workload.
         return
-    each = {name: Future() for name in names}
-    _coming.update(each)
-    for name, coming in each.items():
-        if coming.set_running_or_notify_cancel():
-            coming.set_result(_loaded(folder / name))
+    futures = {name: Future() for name in names}
+    _preloads.update(futures)
+    for name, future in futures.items():
+        # False where ``_stored_program`` has cancelled it to load the file itself.
+        if future.set_running_or_notify_cancel():
+            future.set_result(_load(folder / name))
 
 
-def remember() -> None:
-    """Note what was needed so far for the next such occasion; nothing is read ahead any more."""
-    wait([coming for coming in _coming.values() if not coming.cancel()])
+def save_preload_list() -> None:
+    """Save the names of the files used so far, for the next command with this workload.
+
+    Cancels what has not been read ahead yet, and waits for the file that is being read.
+    """
+    wait([future for future in _preloads.values() if not future.cancel()])
     with contextlib.suppress(OSError):
-        if _occasion and _folder is not None and _folder.is_dir():
-            atomic_write(_notes(_folder), "\n".join(_needed).encode())
+        if _workload and _folder is not None and _folder.is_dir():
+            atomic_write(_preload_list(_folder), "\n".join(_used_files).encode())
 
 
-def _notes(folder: Path) -> Path:
-    return folder / ("needed-" + hashlib.sha256(_occasion.encode()).hexdigest()[:16])
+def _preload_list(folder: Path) -> Path:
+    return folder / ("needed-" + hashlib.sha256(_workload.encode()).hexdigest()[:16])
 
 
 class RunTime(int):
-    """A whole number that compiled programs take at run time: another one needs no other program.
-    To Python it is an ``int``; inside a program it is traced."""
+    """A whole number that compiled programs take at run time: one program serves every number.
+
+    For Python it is an ``int``; inside a program of ``cached_jit`` it is traced.
+    """
 
 
-def _dynamic(leaf: Any) -> Any:
-    """The array of what is taken at run time; anything else as it is."""
+def _traceable(leaf: Any) -> Any:
+    """A RunTime number as an array; any other leaf as it is."""
     return np.int32(leaf) if isinstance(leaf, RunTime) else leaf
 
 
 def cached_jit(function: Callable[..., Any]) -> Callable[..., Any]:
-    """``jax.jit`` of a function of arrays, modules of them, and settings, which are all else; its
-    results are arrays, in tuples and modules or not. Once ``keep_programs`` was called the program
-    is kept."""
+    """``jax.jit`` whose programs are stored on disk after ``enable_program_cache``.
+
+    Arguments are arrays, pytrees of arrays, and settings. Every leaf that is neither an array nor a
+    RunTime number is a setting, and static. Results are arrays, or pytrees of them. Inside another
+    traced function it is a plain ``jax.jit``.
+    """
 
     @functools.wraps(function)
     def call(*args: Any) -> Any:
         leaves, tree = jax.tree.flatten(args)
-        leaves = [_dynamic(leaf) for leaf in leaves]
-        arrays = tuple(eqx.is_array(leaf) for leaf in leaves)
-        dynamic = [leaf for leaf, is_one in zip(leaves, arrays, strict=True) if is_one]
-        # With their types: 1 is True, and yet another setting.
-        static = tuple(
-            (type(leaf), leaf) for leaf, is_one in zip(leaves, arrays, strict=True) if not is_one
+        leaves = [_traceable(leaf) for leaf in leaves]
+        is_array = tuple(eqx.is_array(leaf) for leaf in leaves)
+        arrays = [leaf for leaf, array in zip(leaves, is_array, strict=True) if array]
+        # With their types: 1 equals True, and is another setting.
+        settings = tuple(
+            (type(leaf), leaf) for leaf, array in zip(leaves, is_array, strict=True) if not array
         )
-        key = (function, tree, arrays, static)
-        if _folder is None or any(isinstance(leaf, Tracer) for leaf in dynamic):
-            return _in_memory(key)(*dynamic)
-        shapes = tuple((leaf.shape, leaf.dtype.str) for leaf in dynamic)
+        key = (function, tree, is_array, settings)
+        if _folder is None or any(isinstance(leaf, Tracer) for leaf in arrays):
+            return _jit(key)(*arrays)
+        shapes = tuple((leaf.shape, leaf.dtype.str) for leaf in arrays)
         key = (*key, shapes, jax.dtypes.canonicalize_dtype(float).str)
         program = _programs.get(key)
         if program is None:
             with _locks.setdefault(key, threading.Lock()):
                 program = _programs.get(key)
                 if program is None:
-                    _programs[key], result = _on_disk(_folder, key, dynamic)
+                    _programs[key], result = _load_or_compile(_folder, key, arrays)
                     return result
-        return program(*dynamic)
+        return program(*arrays)
 
     return call
 
 
-def _flat(key: tuple) -> Callable[..., Any]:
-    """The function of its arrays alone."""
-    function, tree, arrays, static, *_ = key
+def _function_of_arrays(key: tuple) -> Callable[..., Any]:
+    """The function of ``key`` with its settings filled in, so that arrays are its arguments."""
+    function, tree, is_array, settings, *_ = key
 
-    def flat(*dynamic):
-        each, others = iter(dynamic), (leaf for _, leaf in static)
-        leaves = [next(each) if is_one else next(others) for is_one in arrays]
+    def of_arrays(*arrays):
+        next_array, next_setting = iter(arrays), (leaf for _, leaf in settings)
+        leaves = [next(next_array) if array else next(next_setting) for array in is_array]
         return function(*jax.tree.unflatten(tree, leaves))
 
-    flat.__name__ = function.__name__
-    return flat
+    of_arrays.__name__ = function.__name__
+    return of_arrays
 
 
 @functools.cache
-def _in_memory(key: tuple) -> Callable[..., Any]:
-    """As JAX has it."""
-    return jax.jit(_flat(key))
+def _jit(key: tuple) -> Callable[..., Any]:
+    """The function of ``key`` as ``jax.jit`` compiles it, which is stored only in memory."""
+    return jax.jit(_function_of_arrays(key))
 
 
-def _on_disk(folder: Path, key: tuple, dynamic: list[Any]) -> tuple[Callable[..., Any], Any]:
-    """Read from its file, or compiled and written to it; and its result."""
+def _load_or_compile(folder: Path, key: tuple, arrays: list[Any]) -> tuple[Program, Any]:
+    """The program of ``key`` and its result for ``arrays``: from its file, or else compiled and
+    stored there."""
     function, *rest = key
     name = repr((function.__module__, function.__qualname__, *rest))
     if " at 0x" in name:
-        # Something that is called otherwise in every run.
-        program = _in_memory(key)
-        return program, program(*dynamic)
+        # A setting whose text holds its address has another name in every run.
+        program = _jit(key)
+        return program, program(*arrays)
     file = folder / hashlib.sha256(name.encode()).hexdigest()
-    _needed[file.name] = None
-    found = _read(file, dynamic)
-    if found is None:
-        flat, made = _flat(key), []
+    _used_files[file.name] = None
+    stored = _stored_program(file, arrays)
+    if stored is not None:
+        return stored
+    of_arrays, structures = _function_of_arrays(key), []
 
-        def leaves(*dynamic):
-            result = flat(*dynamic)
-            made[:] = [jax.tree.map(lambda _: 0, result)]
-            return jax.tree.leaves(result)
+    def leaves(*arrays):
+        result = of_arrays(*arrays)
+        structures[:] = [jax.tree.map(lambda _: 0, result)]
+        return jax.tree.leaves(result)
 
-        # An executable that JAX takes from its own cache is not whole when it is written once more:
-        # by this name it has none.
-        leaves.__name__ = flat.__name__ + secrets.token_hex(8)
-        lowered = jax.jit(leaves).lower(*dynamic)
-        program = _compiled(lowered)
-        _write(file, program, made[0], sorted(set(CALLED.findall(lowered.as_text()))))
-        program = _whole(program, made[0])
-        found = program, program(*dynamic)
-    return found
-
-
-def _whole(program: Callable[..., Any], like: Any) -> Callable[..., Any]:
-    """``program``, which gives leaves, with its results put together as they are in ``like``."""
-    structure = jax.tree.structure(like)
-    return lambda *dynamic: jax.tree.unflatten(structure, program(*dynamic))
+    # An executable that JAX has loaded from its own cache is serialised without some of its parts.
+    # A name that no other run has used keeps JAX from finding one there.
+    leaves.__name__ = of_arrays.__name__ + secrets.token_hex(8)
+    lowered = jax.jit(leaves).lower(*arrays)
+    executable = _compile(lowered)
+    (structure,) = structures
+    _store(file, executable, structure, sorted(set(CUSTOM_CALL.findall(lowered.as_text()))))
+    program = _with_structure(executable, structure)
+    return program, program(*arrays)
 
 
-def _compiled(lowered: Any) -> Any:
+def _with_structure(executable: Program, structure: Any) -> Program:
+    """``executable``, which returns leaves, with these leaves arranged as in ``structure``."""
+    tree = jax.tree.structure(structure)
+    return lambda *arrays: jax.tree.unflatten(tree, executable(*arrays))
+
+
+def _compile(lowered: Any) -> Any:
     try:
-        return lowered.compile(QUICK)
+        return lowered.compile(COMPILER_OPTIONS)
     except jax.errors.JaxRuntimeError:
-        # An XLA that knows no such option.
+        # A version of XLA without this option.
         return lowered.compile()
 
 
-def _read(file: Path, dynamic: list[Any]) -> tuple[Callable[..., Any], Any] | None:
-    coming = _coming.pop(file.name, None)
-    program = _loaded(file) if coming is None or coming.cancel() else coming.result()
+def _stored_program(file: Path, arrays: list[Any]) -> tuple[Program, Any] | None:
+    """The program of ``file``, read ahead or loaded now, and its result for ``arrays``; None if
+    there is none or it fails."""
+    preload = _preloads.pop(file.name, None)
+    # Waiting for the files before it in the list would take longer than loading this one now.
+    program = _load(file) if preload is None or preload.cancel() else preload.result()
     try:
-        # What is missing in it is missed when it runs.
-        return program and (program, jax.block_until_ready(program(*dynamic)))
+        # XLA reports some missing parts only when the program runs.
+        return program and (program, jax.block_until_ready(program(*arrays)))
     except Exception:
         return None
 
 
-def _loaded(file: Path) -> Callable[..., Any] | None:
-    """The program of a file; None if there is none, or it is of another version, or half of one: it
-    is made anew."""
+def _load(file: Path) -> Program | None:
+    """The program of ``file``; None if there is no such file, or it is damaged or incomplete, or
+    one of its custom calls is unknown."""
     from jax.experimental.serialize_executable import deserialize_and_load
 
     try:
-        called, like, *parts = pickle.loads(file.read_bytes())
-        return _whole(deserialize_and_load(*parts), like) if all(map(_made_known, called)) else None
+        custom_calls, structure, *executable = pickle.loads(file.read_bytes())
+        if not all(map(_register_custom_call, custom_calls)):
+            return None
+        return _with_structure(deserialize_and_load(*executable), structure)
     except Exception:
         return None
 
 
-def _write(file: Path, program: Any, like: Any, called: list[str]) -> None:
-    """All of it or nothing, and nothing where it could not be used again."""
+def _store(file: Path, executable: Any, structure: Any, custom_calls: list[str]) -> None:
+    """Write the program's file whole, or no file where the program cannot be loaded again."""
     from jax.experimental.serialize_executable import serialize
 
     try:
-        if not all(map(_made_known, called)):
+        if not all(map(_register_custom_call, custom_calls)):
             return
-        content = pickle.dumps((called, like, *serialize(program)))
+        content = pickle.dumps((custom_calls, structure, *serialize(executable)))
         file.parent.mkdir(parents=True, exist_ok=True)
         atomic_write(file, content)
     except Exception:
-        # No room, or a program that cannot be taken out of memory: there will be none to read.
+        # A full disk, or an executable that cannot be serialised: a later run compiles it again.
         return
 
 
-def _made_known(name: str) -> bool:
-    """Whether XLA knows the function of this name now."""
-    if name.startswith(LAPACK):
-        _find_lapack()
+def _register_custom_call(name: str) -> bool:
+    """Have the custom call of this name registered with XLA; False if no such one is known."""
+    if name.startswith(LAPACK_PREFIX):
+        _register_lapack()
         return True
-    foreign = sys.modules.get("godfit.runtime.xla_ffi")
-    return foreign is not None and foreign.made_known(name)
+    # Not imported here: it needs numba, and a module that declares a custom call has imported it.
+    xla_ffi = sys.modules.get("godfit.runtime.xla_ffi")
+    return xla_ffi is not None and xla_ffi.register(name)
 
 
 @functools.cache
-def _find_lapack() -> None:
+def _register_lapack() -> None:
+    # JAX registers all of LAPACK's functions when it lowers a program that calls one.
     jax.jit(jnp.linalg.qr).lower(jax.ShapeDtypeStruct((1, 1), jnp.float32))
 
 
-def _surroundings() -> str:
-    """What every program depends on, in a word."""
+def _environment_hash() -> str:
+    """A hash of everything that every program depends on."""
     try:
         import llvmlite.binding as llvm
         import numba
@@ -274,5 +315,5 @@ def _surroundings() -> str:
         processor = platform.machine(), platform.processor()
     flags = os.environ.get("XLA_FLAGS", "")
     versions = jax.__version__, version("jaxlib"), sys.version
-    parts = (*versions, processor, flags, jax.device_count(), newest_source())
+    parts = (*versions, processor, flags, jax.device_count(), newest_source_time())
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]

@@ -1,13 +1,13 @@
-"""Functions compiled by numba as XLA custom calls, so that they run inside ``jit`` without Python.
+"""Functions compiled by numba as XLA custom calls, which run inside ``jit`` without Python.
 
-XLA calls a C function with one pointer, to a frame that lists buffers (the typed foreign function
-interface, jaxlib/include/xla/ffi/api/c_api.h). ``numba.cfunc`` makes such functions, and what is
-here reads the frame. Unlike with ``jax.pure_callback``, the interpreter's lock is not needed, calls
-that do not depend on each other run at the same time on XLA's threads, and programs can be kept in
-the compilation cache.
+XLA calls a C function with one pointer, to a call frame that lists buffers (the typed foreign
+function interface, jaxlib/include/xla/ffi/api/c_api.h). ``numba.cfunc`` compiles such functions,
+and this module reads the frame. Unlike ``jax.pure_callback``, a custom call does not need the
+interpreter's lock, independent calls run at the same time on XLA's threads, and a program with
+custom calls can be stored in the compilation cache.
 
-Offsets are in words of eight bytes. They are those of the interface's first version; fields are
-only ever added at the ends of its structures.
+Offsets are in words of eight bytes. They are those of the interface's first version; later versions
+add fields only at the ends of its structures.
 """
 
 from __future__ import annotations
@@ -23,13 +23,30 @@ from numba import (
 )
 from numba.extending import intrinsic
 
-from godfit.runtime.cache import numba_keeps
+from godfit.runtime.cache import enable_numba_cache
 from godfit.runtime.numba_jit import inlined_jit
 
 _WORDS = types.CPointer(types.int64)
-_METADATA = 1
-_EXTENSION, _API, _ARGUMENTS, _RESULTS = 1, 2, 9, 14
-_DATA, _DIMENSIONS = 3, 5
+"""Type of a pointer to words of eight bytes."""
+
+# Words of XLA_FFI_CallFrame. Arguments and results are arrays of pointers to buffers, which are the
+# last words of the XLA_FFI_Args and XLA_FFI_Rets that the frame contains.
+_FRAME_EXTENSION = 1
+_FRAME_API = 2
+_FRAME_ARGUMENTS = 9
+_FRAME_RESULTS = 14
+
+# Words of XLA_FFI_Buffer.
+_BUFFER_DATA = 3
+_BUFFER_DIMENSIONS = 5
+
+# XLA queries the version by an extension of the type XLA_FFI_Extension_Metadata. These are its
+# words, that of the version in XLA_FFI_Metadata, and that of XLA's own version in XLA_FFI_Api.
+_METADATA_TYPE = 1
+_EXTENSION_TYPE = 1
+_EXTENSION_METADATA = 3
+_METADATA_VERSION = 3
+_API_VERSION = 4
 
 
 def _cast(context, builder, signature, arguments):
@@ -37,83 +54,91 @@ def _cast(context, builder, signature, arguments):
 
 
 # Any: intrinsics are called without their first argument.
-# An address (int64) and a kind of number, as in np.float32, -> a pointer to such numbers.
+# From an address (int64) and a kind of number, as in np.float32, to a pointer to such numbers.
 _pointer: Any = intrinsic(
     lambda _, address, kind: (types.CPointer(kind.dtype)(address, kind), _cast)
 )
+# From an address to a pointer to words.
 _words: Any = intrinsic(lambda _, address: (_WORDS(address), _cast))
 
 
 @inlined_jit
-def asks_version(frame):
-    """Whether this is no call but a question for the version of the interface. The answer is the
-    caller's own: nothing is used here that a version changes."""
-    if frame[_EXTENSION] == 0:
+def answers_version_query(frame):
+    """Whether ``frame`` is XLA's query for the interface's version, which this answers, and not a
+    call.
+
+    The answer is XLA's own version: this module uses nothing that differs between versions.
+    """
+    if frame[_FRAME_EXTENSION] == 0:
         return False
-    extension = _words(frame[_EXTENSION])
-    if extension[1] & 0xFFFFFFFF != _METADATA:
+    extension = _words(frame[_FRAME_EXTENSION])
+    # The type is an enum of four bytes.
+    if extension[_EXTENSION_TYPE] & 0xFFFFFFFF != _METADATA_TYPE:
         return False
-    _words(extension[3])[3] = _words(frame[_API])[4]
+    version = _words(frame[_FRAME_API])[_API_VERSION]
+    _words(extension[_EXTENSION_METADATA])[_METADATA_VERSION] = version
     return True
 
 
 @inlined_jit
 def vector(frame, index, kind):
-    """Argument ``index``, of rank 1, numbers of ``kind``."""
-    buffer = _words(_words(frame[_ARGUMENTS])[index])
-    size = _words(buffer[_DIMENSIONS])
-    return carray(_pointer(buffer[_DATA], kind), (size[0],))
+    """Argument ``index`` of the call, an array (n,) of ``kind``, as in np.float32."""
+    buffer = _words(_words(frame[_FRAME_ARGUMENTS])[index])
+    size = _words(buffer[_BUFFER_DIMENSIONS])
+    return carray(_pointer(buffer[_BUFFER_DATA], kind), (size[0],))
 
 
 @inlined_jit
 def matrix(frame, index, kind):
-    """Argument ``index``, of rank 2."""
-    buffer = _words(_words(frame[_ARGUMENTS])[index])
-    size = _words(buffer[_DIMENSIONS])
-    return carray(_pointer(buffer[_DATA], kind), (size[0], size[1]))
+    """Argument ``index`` of the call, an array (m, n) of ``kind``."""
+    buffer = _words(_words(frame[_FRAME_ARGUMENTS])[index])
+    size = _words(buffer[_BUFFER_DIMENSIONS])
+    return carray(_pointer(buffer[_BUFFER_DATA], kind), (size[0], size[1]))
 
 
 @inlined_jit
 def result(frame, kind):
-    """The first result, of rank 3."""
-    buffer = _words(_words(frame[_RESULTS])[0])
-    size = _words(buffer[_DIMENSIONS])
-    return carray(_pointer(buffer[_DATA], kind), (size[0], size[1], size[2]))
+    """The call's first result, an array (k, m, n) of ``kind`` to write to."""
+    buffer = _words(_words(frame[_FRAME_RESULTS])[0])
+    size = _words(buffer[_BUFFER_DIMENSIONS])
+    return carray(_pointer(buffer[_BUFFER_DATA], kind), (size[0], size[1], size[2]))
 
 
-class _Named(NamedTuple):
-    """What was declared under a name, and whether XLA knows it."""
+class _Target(NamedTuple):
+    """A declared custom call: its function, and whether it is registered with XLA."""
 
     function: Any
     lock: threading.Lock
-    known: threading.Event
+    registered: threading.Event
 
 
-_declared: dict[str, _Named] = {}
+_declared: dict[str, _Target] = {}
 
 
 def declare(prefix: str, functions: dict[Any, Any]) -> dict[Any, str]:
-    """The names, each after the ``prefix``, under which XLA will know ``functions`` (frame -> 0).
-    A name is the same in every run: a program that was kept asks for it."""
+    """Declare ``functions`` (frame -> 0) as custom calls, without compiling them; returns their
+    names, ``prefix`` + function's name, by the same keys.
+
+    A name is the same in every run, because stored programs refer to their custom calls by it.
+    """
     names = {key: prefix + function.__name__ for key, function in functions.items()}
     for key, name in names.items():
-        _declared[name] = _Named(functions[key], threading.Lock(), threading.Event())
+        _declared[name] = _Target(functions[key], threading.Lock(), threading.Event())
     return names
 
 
-def made_known(name: str) -> bool:
-    """Whether something of this name was declared; it is compiled, or loaded, and made known to XLA
-    on the CPU when it is first asked for. Nobody waits for others than that."""
-    named = _declared.get(name)
-    if named is None:
+def register(name: str) -> bool:
+    """Register the custom call of this name with XLA on the CPU; False if none was declared.
+
+    The function is compiled, or loaded from numba's cache, at the first registration. The lock is
+    one per name, so that no thread waits for a function other than its own.
+    """
+    target = _declared.get(name)
+    if target is None:
         return False
-    with named.lock:
-        if not named.known.is_set():
-            _register(name, named.function)
-            named.known.set()
+    with target.lock:
+        if not target.registered.is_set():
+            compiled = cfunc(types.int64(_WORDS), cache=enable_numba_cache())(target.function)
+            jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(compiled.ctypes), platform="cpu")
+            target.registered.set()
     return True
-
-
-def _register(name: str, function) -> None:
-    compiled = cfunc(types.int64(_WORDS), cache=numba_keeps())(function)
-    jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(compiled.ctypes), platform="cpu")

@@ -1,59 +1,94 @@
-"""What a sum over taps reads of every texel, compiled by numba: a sparse matrix, row by row."""
+"""The Jacobian of a radial sum by the mask: a sparse matrix, compiled by numba.
+
+A radial sum is linear in the mask. A row of the matrix is a pixel of the light pass; a column is an
+unknown of the mask, which one or several texels share. Texels whose value is known add a constant.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
 from godfit.runtime.numba_jit import jit
 
 
+class PixelTaps(NamedTuple):
+    """Taps towards one light: its column and row (2,) in the mask, and the taps' positions ``t``
+    (k,) along the ray from the pixel, 0, to the light, 1, and weights ``c`` (k,)."""
+
+    light: np.ndarray
+    t: np.ndarray
+    c: np.ndarray
+
+
+class PartlyKnownMask(NamedTuple):
+    """A mask of ``size`` (h, w) of which some texels are unknown; arrays are (h w,), row-major.
+
+    ``values`` are those of the known texels. ``unknown`` is the index of a texel's unknown, -1
+    where its value is known, and ``unknowns`` the number of unknowns. ``brightness`` scales both.
+    """
+
+    size: tuple[int, int]
+    values: np.ndarray
+    unknown: np.ndarray
+    unknowns: int
+    brightness: np.ndarray
+
+
 @jit
-def texel_sums(texels, h, w, light, t, c, lit, values, place, count):
-    """Sums at row-major ``texels`` (n,) of a pass of ``h`` by ``w``: what taps ``t``, ``c`` (k,)
-    towards column and row ``light`` (2,) read of a mask ``lit`` (h w,) times ``values`` (h w,)
-    where ``place`` (h w,) is -1, and the rest as a sparse matrix in columns ``place``, of which
-    there are ``count``."""
-    known = np.zeros(len(texels))
-    # Where a column that is read more than once is kept.
-    kept = np.full(count, -1, np.int64)
-    starts = np.zeros(len(texels) + 1, np.int32)
-    read, share = np.empty(len(texels), np.int32), np.empty(len(texels), np.float32)
+def mask_jacobian(pixels, taps, mask):
+    """The sum at row-major ``pixels`` (n,) of the light pass: of what is known, and the Jacobian.
+
+    ``taps`` is a PixelTaps, ``mask`` a PartlyKnownMask. Reads are bilinear, clamped to the edge.
+    Returns the sum over known texels (n,) in float64, and the Jacobian (n, unknowns) in compressed
+    rows: starts (n + 1,), columns, and float32 values.
+    """
+    (h, w), t, c = mask.size, taps.t, taps.c
+    light_x, light_y = taps.light[0], taps.light[1]
+    texel_value, texel_unknown, brightness = mask.values, mask.unknown, mask.brightness
+    known = np.zeros(len(pixels))
+    # Where in ``columns`` an unknown was last written: an entry of this row if it lies behind the
+    # row's start.
+    entry = np.full(mask.unknowns, -1, np.int64)
+    starts = np.zeros(len(pixels) + 1, np.int32)
+    columns, values = np.empty(len(pixels), np.int32), np.empty(len(pixels), np.float32)
     end = 0
-    for n in range(len(texels)):
-        # How much a ray reads is not known before: there is always room for one more.
-        if end + 4 * len(t) > len(read):
-            room = 2 * len(read) + 4 * len(t)
-            read, share = _moved(read[:end], room), _moved(share[:end], room)
-        from_row, from_column = texels[n] // w, texels[n] % w
+    for n in range(len(pixels)):
+        # The number of entries is not known beforehand: there is always room for one more row.
+        if end + 4 * len(t) > len(columns):
+            length = 2 * len(columns) + 4 * len(t)
+            columns, values = _lengthened(columns[:end], length), _lengthened(values[:end], length)
+        from_row, from_column = pixels[n] // w, pixels[n] % w
         for k in range(len(t)):
-            x = from_column + t[k] * (light[0] - from_column)
-            y = from_row + t[k] * (light[1] - from_row)
-            left, low = np.floor(x), np.floor(y)
+            x = from_column + t[k] * (light_x - from_column)
+            y = from_row + t[k] * (light_y - from_row)
+            left, top = np.floor(x), np.floor(y)
             for corner in range(4):
-                right, high = corner % 2, corner // 2
+                right, bottom = corner % 2, corner // 2
                 i = min(max(int(left) + right, 0), w - 1)
-                j = min(max(int(low) + high, 0), h - 1)
-                at = j * w + i
-                part_x = x - left if right else 1 - (x - left)
-                part_y = y - low if high else 1 - (y - low)
-                part = c[k] * part_x * part_y * lit[at]
-                column = place[at]
+                j = min(max(int(top) + bottom, 0), h - 1)
+                texel = j * w + i
+                share_x = x - left if right else 1 - (x - left)
+                share_y = y - top if bottom else 1 - (y - top)
+                weight = c[k] * share_x * share_y * brightness[texel]
+                column = texel_unknown[texel]
                 if column < 0:
-                    known[n] += part * values[at]
-                elif kept[column] < starts[n]:
-                    kept[column] = end
-                    read[end], share[end] = column, part
+                    known[n] += weight * texel_value[texel]
+                elif entry[column] < starts[n]:
+                    entry[column] = end
+                    columns[end], values[end] = column, weight
                     end += 1
                 else:
-                    share[kept[column]] += part
+                    values[entry[column]] += weight
         starts[n + 1] = end
-    return known, starts, read[:end].copy(), share[:end].copy()
+    return known, starts, columns[:end].copy(), values[:end].copy()
 
 
 @jit
-def _moved(values, room):
-    """``values`` (n,) where there is room for so many."""
-    out = np.empty(room, values.dtype)
+def _lengthened(values, length):
+    """An array (length,) that begins with ``values``; the rest is not set."""
+    out = np.empty(length, values.dtype)
     for n in range(len(values)):
         out[n] = values[n]
     return out

@@ -25,12 +25,11 @@ class Parameter:
 
 SCATTERING = (
     Parameter("exposure", "E", "1", 0.0, inf, "scale of the whole light pass"),
-    Parameter(
-        "decay", "d", "1 per tap", 0.0, 1.0, "each tap weighs this much of the one before it"
-    ),
+    Parameter("decay", "d", "1 per tap", 0.0, 1.0, "ratio of a tap's weight to the one before it"),
     Parameter("density", "rho", "of the ray", 0.0, 1.0, "how far towards the light the taps reach"),
-    Parameter("weight", "w", "1", 0.0, inf, "what a tap weighs against the pixel's own value"),
+    Parameter("weight", "w", "1", 0.0, inf, "weight of a tap relative to the pixel's own value"),
 )
+"""The parameters of Mitchell's sum besides the light, in the order of reports."""
 
 
 def light_parameters(lights: int) -> tuple[Parameter, ...]:
@@ -38,18 +37,10 @@ def light_parameters(lights: int) -> tuple[Parameter, ...]:
     rows = []
     for i in range(lights):
         stem = "light" if i == 0 else f"light{i + 1}"
-        which = "the light" if lights == 1 else f"light {i + 1}"
-        for axis, symbol, way in (("x", "u", "to the right"), ("y", "v", "up")):
-            rows.append(
-                Parameter(
-                    f"{stem}_{axis}",
-                    symbol,
-                    "of the image",
-                    -inf,
-                    inf,
-                    f"{which}, {way} from the left bottom corner",
-                )
-            )
+        subject = "the light" if lights == 1 else f"light {i + 1}"
+        for axis, symbol, direction in (("x", "u", "to the right"), ("y", "v", "up")):
+            meaning = f"{subject}, {direction} from the left bottom corner"
+            rows.append(Parameter(f"{stem}_{axis}", symbol, "of the image", -inf, inf, meaning))
     return tuple(rows)
 
 

@@ -5,8 +5,8 @@ Every god-ray shader in use evaluates, for a pixel x and a light l in texture co
     out(x) = c_0 M(x) + sum_{k=1..K} c_k M(x + t_k (l - x))
 
 with its own c and t (Mitchell, GPU Gems 3, ch. 13, listing 13-1, and its descendants). In all of
-them c_k is a geometric and t_k an arithmetic sequence, so five numbers say everything: that is
-what makes four sums enough for every derivative (see ``godfit.scattering.radial``).
+them c_k is a geometric and t_k an arithmetic sequence, so that five numbers determine all taps, and
+four sums every derivative (see ``godfit.scattering.radial.derivatives``).
 """
 
 from __future__ import annotations
@@ -24,15 +24,21 @@ from godfit.errors import InputError
 
 Scalar = Float[Array, ""] | float
 
+UNPUBLISHED_SAMPLES = 100
+"""Samples of a shader that publishes no default: the most common of the published ones."""
+
 
 @dataclass(frozen=True, eq=False)
 class TracedCount:
-    """A number of taps that a compiled program takes at run time. Methods that unroll the taps
-    cannot serve it."""
+    """A number of taps that a compiled program takes at run time.
+
+    Only methods that do not unroll the taps serve it.
+    """
 
     value: Int[Array, ""]
 
 
+# Pyright treats a count as an int: only the methods that serve a TracedCount distinguish it.
 if TYPE_CHECKING:
     Count = int
 else:
@@ -40,24 +46,23 @@ else:
 
 
 def as_count(number: Any) -> Any:
-    """What ``Taps`` keep of a number that may be traced."""
+    """The ``count`` of ``Taps`` for a number that may be traced."""
     return TracedCount(number) if isinstance(number, Tracer) else number
 
 
 def number_of(taps: Taps) -> Any:
-    """The number of taps, as the kernels that take it at run time need it."""
+    """The number of taps, traced or not, for kernels that take it at run time."""
     return taps.count.value if isinstance(taps.count, TracedCount) else taps.count
 
 
 class Taps(eqx.Module):
     """Taps c_k = first * ratio**(k-1) at t_k = (k - lag) * step for k = 1..count, and c_0 = own at
-    t_0 = 0. No shader has a lag; taps that stand for several do.
+    t_0 = 0. The lag of every shader is 0; that of merged taps, each in place of several, is not.
 
     ``count`` is a Python number or, inside a program that serves every number, a ``TracedCount``.
-
-    ``unit`` says what ``step`` is measured in: ``"ray"`` is a fraction of the way from the pixel
-    to the light (0 at the pixel, 1 at the light); ``"uv"`` is a distance in texture coordinates,
-    and there taps beyond the light count nothing.
+    ``unit`` is that of ``step``: ``"ray"``, a fraction of the way from the pixel to the light (0 at
+    the pixel, 1 at the light), or ``"uv"``, a distance in texture coordinates. With ``"uv"`` taps
+    beyond the light have no weight.
     """
 
     own: Scalar
@@ -80,25 +85,34 @@ class Taps(eqx.Module):
 
     @property
     def total(self) -> Float[Array, ""]:
-        """c_0 + sum c_k: what the sum makes of a mask that is 1 everywhere."""
+        """c_0 + sum c_k: the sum over a mask that is 1 everywhere."""
         return self.own + self.c.sum()
 
 
-def average(samples: Count) -> Taps:
-    """The mean of ``samples`` equal steps from the pixel to the light: of a mask that is 1 where
-    the sky is seen it makes 1 - D, the share of the ray that nothing occludes (Mitchell, GPU Gems
-    3, ch. 13, equation 3)."""
+def averaging_taps(samples: Count) -> Taps:
+    """Taps whose sum is the mean of the mask over ``samples`` equal steps from pixel to light.
+
+    For a mask that is 1 where the sky is visible this mean is 1 - D, the unoccluded share of the
+    ray (Mitchell, GPU Gems 3, ch. 13, equation 3).
+    """
     return Taps(0.0, 1 / samples, 1.0, 1 / samples, as_count(samples))
 
 
 @dataclass(frozen=True)
 class Convention:
-    """What one shader does with its parameters.
+    """The formula of one shader, from its parameters to taps.
 
-    Most are E g (own M + w sum_{i=1..n-drop} d^(i-order) M_i). A ``box`` convention runs a pass of
-    equal weights for each of its steps (in texture coordinates) on 1 - M, one after another, and
-    shows E (1 - result). ``blend`` is how the light pass L goes onto the background B: ``"add"`` is
-    background_gain * B + L, ``"screen"`` is B + L - B L.
+    Most are g E (own M + w sum_{i=1..n-drop} d^(i-order) M_i), with the exposure E, weight w, decay
+    d and number of samples n; g is ``gain``. ``own`` is 0 in a shader without the pixel's own
+    value, ``drop`` the number of samples that its loop leaves out, and ``order`` 1 where decay is
+    applied after a tap, 0 where before.
+
+    A ``box`` convention runs a pass of equal weights for each of its steps (in texture coordinates)
+    on 1 - M, one after another, and its light pass is E (1 - result). ``blend`` is how the light
+    pass L is composited onto the background B: ``"add"`` is background_gain * B + L, ``"screen"``
+    is B + L - B L.
+
+    ``defaults`` are the published default parameters by name, none where none are published.
     """
 
     name: str
@@ -116,7 +130,7 @@ class Convention:
     def taps(
         self, exposure: Scalar, decay: Scalar, density: Scalar, weight: Scalar, samples: Count
     ) -> tuple[Taps, ...]:
-        """The taps of each pass. Those of a ``box`` convention do not hold the exposure."""
+        """The taps of each pass. Those of a ``box`` convention do not include the exposure."""
         if self.box:
             return tuple(Taps(1 / 6, 1 / 6, 1.0, step, 5, "uv") for step in self.box)
         scale = self.gain * jnp.asarray(exposure)
@@ -126,17 +140,17 @@ class Convention:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Those of exposure, decay, density and weight that it uses."""
+        """Names of those of exposure, decay, density and weight that the formula uses."""
         return ("exposure",) if self.box else ("exposure", "decay", "density", "weight")
 
     @property
     def samples(self) -> int:
-        """The shader's own number of samples (100 where none was published)."""
-        return int(self.defaults.get("samples", 100))
+        """The shader's default number of samples."""
+        return int(self.defaults.get("samples", UNPUBLISHED_SAMPLES))
 
     @property
     def own_pixel(self) -> bool:
-        """Whether the pixel's own value is shown: if not, only exposure*weight matters."""
+        """Whether the pixel's own value enters: without it, only exposure*weight is determined."""
         return self.own != 0
 
 
@@ -215,12 +229,12 @@ CONVENTIONS: dict[str, Convention] = {
 
 
 def convention(name: str) -> Convention:
-    """The convention called ``name``. Raises InputError naming the nearest for an unknown one."""
+    """The convention of this name. Raises InputError for an unknown one, naming the closest."""
     try:
         return CONVENTIONS[name]
     except KeyError:
-        near = difflib.get_close_matches(name, CONVENTIONS, n=1, cutoff=0.0)
+        closest = difflib.get_close_matches(name, CONVENTIONS, n=1, cutoff=0.0)
         raise InputError(
             f"shader: expected one of {', '.join(CONVENTIONS)}, got '{name}'; "
-            f"did you mean '{near[0]}'?"
+            f"did you mean '{closest[0]}'?"
         ) from None

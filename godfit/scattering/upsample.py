@@ -1,7 +1,7 @@
-"""A light pass at the pixels of its image, which may be larger.
+"""A light pass at the pixels of its image, which may be larger than the pass.
 
-A pass of the image's size is what it shows; a smaller one is clamped, as its texture of bytes is,
-and read bilinearly.
+A pass of the image's size is used as it is. A smaller one is clamped to [0, 1], as the texture of
+bytes that holds it is, and interpolated bilinearly.
 """
 
 from __future__ import annotations
@@ -18,15 +18,17 @@ from jaxtyping import Array, Float, Int
 from godfit.runtime.device import on_device
 from godfit.scattering.radial.reference import bilinear
 
-# A point by itself costs as much as so many pixels of a whole picture, and more.
-POINT = 4
-# Texels are padded to a multiple of this many, or of a quarter of the pixels.
-LEAST = 1024
+POINT_COST = 4
+"""Pixels of a whole picture whose sums cost as much as one at a point by itself, or less."""
+MIN_PADDED_TEXELS = 1024
+"""Texels are padded to a multiple of this number, or of a quarter of the pixels if that is more:
+few different lengths mean that few programs are compiled."""
 
 
 class Texels(NamedTuple):
-    """What is read of a light pass smaller than its image, each texel once: columns and rows ``at``
-    (m, 2), of which each pixel mixes ``corners`` (4, n) by ``share`` (4, n)."""
+    """The texels, each once, between which some pixels interpolate a light pass smaller than their
+    image: columns and rows ``at`` (m, 2). Each pixel mixes those of the indices ``corners`` (4, n)
+    with the bilinear weights ``share`` (4, n)."""
 
     at: Float[Array, "m 2"]
     corners: Int[Array, "4 n"]
@@ -34,27 +36,26 @@ class Texels(NamedTuple):
 
     @staticmethod
     def of(pixels: np.ndarray, size: tuple[int, int], low: tuple[int, int]) -> Texels | None:
-        """For row-major ``pixels`` (n,) of an image of ``size`` and a pass of size ``low``; None
-        where the whole pass costs no more."""
+        """For row-major ``pixels`` (n,) of an image of ``size`` (h, w) and a pass of size ``low``;
+        None where the whole pass costs no more."""
         (height, width), (h, w) = size, low
-        if POINT * len(pixels) >= height * width:
+        if POINT_COST * len(pixels) >= height * width:
             return None
         x = (pixels % width + 0.5) * w / width - 0.5
         y = (pixels // width + 0.5) * h / height - 0.5
         i, j = np.floor(x), np.floor(y)
         columns = np.clip(i + np.array([[0], [1], [0], [1]]), 0, w - 1)
         rows = np.clip(j + np.array([[0], [0], [1], [1]]), 0, h - 1)
-        each, corners = np.unique((rows * w + columns).astype(np.int64), return_inverse=True)
-        # A number that few pictures share would have the program compiled for each of them.
-        step = max(LEAST, len(pixels) // 4)
-        most = -(-len(each) // step) * step
-        if POINT * most >= h * w:
+        texels, corners = np.unique((rows * w + columns).astype(np.int64), return_inverse=True)
+        step = max(MIN_PADDED_TEXELS, len(pixels) // 4)
+        padded = -(-len(texels) // step) * step
+        if POINT_COST * padded >= h * w:
             return None
-        each = np.append(each, np.full(most - len(each), each[-1]))
+        texels = np.append(texels, np.full(padded - len(texels), texels[-1]))
         fx, fy = x - i, y - j
         share = np.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy])
         return Texels(
-            on_device(np.stack([each % w, each // w], -1), np.float32),
+            on_device(np.stack([texels % w, texels // w], -1), np.float32),
             on_device(corners.reshape(columns.shape), np.int32),
             on_device(share, np.float32),
         )
@@ -67,29 +68,42 @@ def at_pixels(
     pixels: Int[Array, " n"] | None,
     texels: Texels | None = None,
 ) -> Float[Array, "..."]:
-    """``light_pass(mask, at)`` at ``pixels`` of an image of ``size``; see ``Mitchell.__call__``."""
+    """The light pass at ``pixels`` of an image.
+
+    **Arguments:**
+
+    - `light_pass`: (mask, at) -> values at columns and rows `at` (n, 2) of the mask, or at every
+      pixel where it is None.
+    - `mask`: (h, w) or (h, w, channels), of the size of the light pass.
+    - `size`: (height, width) of the image; None if it is that of the mask.
+    - `pixels`: row-major indices (n,) into the image; None for all of them.
+    - `texels`: ``Texels.of`` these pixels, if only their texels are to be computed.
+
+    **Returns:** (height, width) or (n,), then channels.
+    """
     low = (mask.shape[0], mask.shape[1])
     if size is not None and size != low:
         if texels is not None:
-            read = jnp.clip(light_pass(mask, texels.at.astype(mask.dtype)), 0, 1)[texels.corners]
-            return jnp.einsum("kn,kn...->n...", texels.share.astype(mask.dtype), read)
+            values = jnp.clip(light_pass(mask, texels.at.astype(mask.dtype)), 0, 1)
+            corners = values[texels.corners]
+            return jnp.einsum("kn,kn...->n...", texels.share.astype(mask.dtype), corners)
         return _upsampled(light_pass, mask, size, pixels)
-    if pixels is None or POINT * pixels.shape[0] >= low[0] * low[1]:
+    if pixels is None or POINT_COST * pixels.shape[0] >= low[0] * low[1]:
         light = light_pass(mask, None)
         return light if pixels is None else light.reshape(-1, *light.shape[2:])[pixels]
     return light_pass(mask, columns_rows(pixels, low[1], mask.dtype))
 
 
 def _upsampled(light_pass, mask, size, pixels):
-    """Bilinear read of the light pass rendered at the mask's own size."""
+    """The light pass of the mask's size, interpolated bilinearly at ``pixels`` of an image."""
     (h, w), (height, width) = mask.shape[:2], size
     shape = size if pixels is None else pixels.shape
-    every = jnp.arange(height * width) if pixels is None else pixels
-    at = columns_rows(every, width, mask.dtype)
+    chosen = jnp.arange(height * width) if pixels is None else pixels
+    at = columns_rows(chosen, width, mask.dtype)
     x, y = (at[:, 0] + 0.5) * w / width - 0.5, (at[:, 1] + 0.5) * h / height - 0.5
-    low = jnp.clip(light_pass(mask, None), 0, 1)
-    read = functools.partial(bilinear, x=x, y=y)
-    out = read(low) if low.ndim == 2 else jax.vmap(read, -1, -1)(low)
+    clamped = jnp.clip(light_pass(mask, None), 0, 1)
+    at_points = functools.partial(bilinear, x=x, y=y)
+    out = at_points(clamped) if clamped.ndim == 2 else jax.vmap(at_points, -1, -1)(clamped)
     return out.reshape(*shape, *mask.shape[2:])
 
 

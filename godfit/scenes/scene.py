@@ -22,7 +22,7 @@ from jaxtyping import Array, Float, Int
 
 from godfit.errors import InputError
 from godfit.io.image import TRANSFERS
-from godfit.io.sidecar import SCATTERING
+from godfit.io.sidecar import SIDECAR_SCATTERING
 from godfit.io.toml_table import Colour, Table
 from godfit.scattering.parameters import SCATTERING as PARAMETERS
 from godfit.scattering.taps import convention
@@ -33,9 +33,9 @@ CAMERA, LIGHT = ("position", "target", "up", "fov_y"), ("position", "radius")
 OBJECT = ("position", "rotation", "scale")
 MAX_SIZE = 16384
 # What [scattering] may hold: a target's settings, and parameters for rendering.
-SETTINGS: dict[str, Any] = {
-    k: v for k, v in SCATTERING.items() if k not in ("lights", "model", "rays")
-} | dict.fromkeys(("exposure", "decay", "density", "weight"), (int, float))
+SETTINGS: dict[str, type] = {
+    k: v for k, v in SIDECAR_SCATTERING.items() if k not in ("lights", "model", "rays")
+} | dict.fromkeys(("exposure", "decay", "density", "weight"), float)
 
 # From and to, both included.
 LIMITS = {p.name: (p.lower, min(p.upper, 1e18)) for p in PARAMETERS} | {
@@ -225,11 +225,7 @@ def _setting(table: Table, key: str) -> Any:
     """A key of [scattering]."""
     if key not in SETTINGS:
         return None
-    value = table.get(key, None, "a value")
-    kinds = SETTINGS[key] if isinstance(SETTINGS[key], tuple) else (SETTINGS[key],)
-    if not isinstance(value, kinds) or isinstance(value, bool):
-        names = " or ".join(kind.__name__ for kind in kinds)
-        raise table.error(key, names, repr(value))
+    value = table.optional(key, SETTINGS[key])
     expected = LIMITS.get(key)
     if expected and not expected[0] <= value <= expected[1]:
         raise table.error(key, f"from {expected[0]:g} to {expected[1]:g}", repr(value))

@@ -27,7 +27,7 @@ from godfit.models.mitchell import Mitchell
 from godfit.runtime.device import on_device
 from godfit.runtime.parallel import map_halves
 from godfit.runtime.program_cache import cached_jit
-from godfit.scattering.radial.nearest import DENSITIES, STEPS, read_rays
+from godfit.scattering.radial.nearest import GRID_DENSITIES, RAY_STEPS, read_rays
 
 SIZE = 64
 POINTS = 512
@@ -130,10 +130,10 @@ def mitchell_starts(
             return _box_rays(on_device(mask), on_device(spots), on_device(at), model)
     else:
         shapes = _shapes(given, model.samples)
-        middles = (np.arange(STEPS) + 0.5) / STEPS
+        middles = (np.arange(RAY_STEPS) + 0.5) / RAY_STEPS
         # The last step of a ray may be covered in part.
-        part = np.clip(shapes[:, 1:] * STEPS - np.arange(STEPS), 0, 1)
-        along = (np.exp(-shapes[:, :1] * middles) * part / STEPS).astype(np.float32)
+        part = np.clip(shapes[:, 1:] * RAY_STEPS - np.arange(RAY_STEPS), 0, 1)
+        along = (np.exp(-shapes[:, :1] * middles) * part / RAY_STEPS).astype(np.float32)
         scale = shader.gain
         own = ndimage.map_coordinates(mask, at[:, ::-1].T, order=1, mode="nearest")
         own = own * np.float32(lights * shader.own)
@@ -232,7 +232,7 @@ def places_for(
 
 def _shapes(given: dict[str, float], samples: int) -> np.ndarray:
     """(shapes, 2) pairs of kappa and density."""
-    densities = (given["density"],) if "density" in given else DENSITIES
+    densities = (given["density"],) if "density" in given else GRID_DENSITIES
     pairs = []
     for density in densities:
         kappas: tuple[float, ...] = KAPPAS

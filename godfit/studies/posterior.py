@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from godfit.errors import SIMULATED, InputError
+from godfit.errors import LIKELIHOOD_INCOMPLETE, InputError
 from godfit.inference.information import evidence
 from godfit.inference.likelihood import interval
 from godfit.inference.noise import SIGMAS
@@ -76,7 +76,7 @@ def posterior(
     if result.picture.foreign:
         raise InputError("posterior: expected a fit with a mask or a scene, got neither; give one")
     if result.simulated:
-        raise InputError(SIMULATED.format("posterior"))
+        raise InputError(LIKELIHOOD_INCOMPLETE.format("posterior"))
     if not result.converged:
         raise InputError(f"posterior: expected a fit that converged, got: {result.message}")
     with jax.enable_x64(False), jax.numpy_rank_promotion("allow"):

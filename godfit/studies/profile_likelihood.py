@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from godfit.errors import SIMULATED, InputError
+from godfit.errors import LIKELIHOOD_INCOMPLETE, InputError
 from godfit.inference.information import evidence
 from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.observation import Observation
@@ -60,7 +60,7 @@ def check(result: FitResult, name: str) -> None:
     if result.picture.foreign:
         raise InputError("profile: expected a fit with a mask or a scene, got neither; give one")
     if result.simulated:
-        raise InputError(SIMULATED.format("profile"))
+        raise InputError(LIKELIHOOD_INCOMPLETE.format("profile"))
     if name not in result.params:
         raise InputError(f"profile: expected one of {', '.join(result.params)}, got '{name}'")
     if result.params[name].fixed:

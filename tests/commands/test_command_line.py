@@ -259,9 +259,9 @@ def test_mask_of_another_aspect(disc, capsys):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("mask = 3", "mask: expected str"),
+        ("mask = 3", "mask: expected text"),
         ("mask = 'a.png'\nmaks = 'b.png'", "maks: expected one of mask"),
-        ("[scattering]\nsamples = 'many'", "scattering.samples: expected int"),
+        ("[scattering]\nsamples = 'many'", "scattering.samples: expected a whole number"),
         ("[scattering]\nshadr = 'x'", "scattering.shadr: expected one of"),
         ("scattering = 1", "expected a table"),
         ("mask = ", "expected TOML"),

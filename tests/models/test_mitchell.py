@@ -141,8 +141,8 @@ def test_pixels_are_those_of_the_whole_image(size, mask, background):
 @pytest.mark.parametrize("size", [(22, 26), (25, 31), (47, 64)])
 def test_texels_are_read_once(size, mask, monkeypatch):
     """A block of neighbours, from the texels that it needs, is that of the whole image."""
-    monkeypatch.setattr(upsample, "POINT", 0)
-    monkeypatch.setattr(upsample, "LEAST", 5)
+    monkeypatch.setattr(upsample, "POINT_COST", 0)
+    monkeypatch.setattr(upsample, "MIN_PADDED_TEXELS", 5)
     bright = model(point=BRIGHT)
     image = render(bright, mask, size=size)
     rows, columns = np.mgrid[size[0] - 6 : size[0], 0:9]

@@ -9,8 +9,8 @@ import pytest
 from godfit.runtime.cache import cache_folder
 
 SUM = """
-from godfit.runtime.cache import keep_compiled
-keep_compiled()
+from godfit.runtime.cache import enable_jax_cache
+enable_jax_cache()
 import jax, jax.numpy as jnp
 from godfit.scattering.radial import radial_sum
 from godfit.scattering.taps import Taps

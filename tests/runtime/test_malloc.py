@@ -9,10 +9,10 @@ import pytest
 # come from the heap, and stay there under a small block that is kept.
 PROGRAM = """
 import ctypes
-from godfit.runtime.malloc import keep_little
+from godfit.runtime.malloc import return_freed_memory
 
 if {little}:
-    keep_little()
+    return_freed_memory()
 libc = ctypes.CDLL(None)
 libc.malloc.restype = ctypes.c_void_p
 libc.free.argtypes = [ctypes.c_void_p]

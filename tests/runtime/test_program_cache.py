@@ -9,7 +9,7 @@ import pytest
 
 from godfit import Mitchell
 from godfit.runtime import program_cache
-from godfit.runtime.cache import SWITCH
+from godfit.runtime.cache import CACHE_VARIABLE
 from godfit.scattering.radial.exact import EXACT
 
 MODEL = Mitchell(0.05, 0.98, 0.8, 0.7, (0.5, 0.6), "dawntime", 20)
@@ -25,15 +25,15 @@ def traced():
 @pytest.fixture
 def another_run(monkeypatch, tmp_path):
     """Begins one, with a folder of its own for what earlier ones have kept."""
-    monkeypatch.setenv(SWITCH, str(tmp_path))
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
 
     def begin():
-        program_cache.forget_programs()
-        program_cache.keep_programs()
+        program_cache.disable_program_cache()
+        program_cache.enable_program_cache()
         return [file for file in tmp_path.rglob("*") if file.is_file()]
 
     yield begin
-    program_cache.forget_programs()
+    program_cache.disable_program_cache()
 
 
 def made(traced):
@@ -120,7 +120,7 @@ def test_what_was_compiled_before_is_kept_whole(traced, another_run):
 
 
 def test_without_a_folder_nothing_is_kept(traced, another_run, monkeypatch, tmp_path):
-    monkeypatch.setenv(SWITCH, "off")
+    monkeypatch.setenv(CACHE_VARIABLE, "off")
     assert not another_run()
     light = made(traced)
     light(MODEL, MASK, 1)
@@ -162,8 +162,8 @@ def test_foreign_functions_are_known_by_name():
     from godfit.runtime import xla_ffi
     from godfit.scattering.radial import strips_kernel
 
-    assert xla_ffi.made_known(strips_kernel.NAMES["points", False])
-    assert not xla_ffi.made_known("nobody")
+    assert xla_ffi.register(strips_kernel.STRIP_CALLS["points", False])
+    assert not xla_ffi.register("nobody")
 
 
 def test_a_model_comes_back_as_one(traced, another_run):
@@ -190,34 +190,32 @@ def test_a_model_comes_back_as_one(traced, another_run):
 def loaded(monkeypatch):
     """The names of files that programs are read from, in order."""
     names = []
-    load = program_cache._loaded
-    monkeypatch.setattr(
-        program_cache, "_loaded", lambda file: names.append(file.name) or load(file)
-    )
+    load = program_cache._load
+    monkeypatch.setattr(program_cache, "_load", lambda file: names.append(file.name) or load(file))
     return names
 
 
 def test_what_was_needed_last_time_is_read_ahead(traced, another_run, loaded):
     another_run()
     light = made(traced)
-    program_cache.read_ahead("a picture")
+    program_cache.preload_programs("a picture")
     expected = [light(MODEL, MASK, times)[0] for times in (3, 1, 2)]
-    program_cache.remember()
+    program_cache.save_preload_list()
     needed = [*loaded]
     loaded.clear()
     another_run()
-    program_cache.read_ahead("a picture")
+    program_cache.preload_programs("a picture")
     assert loaded == needed
     # Asked in another order, and not all of them.
     for times, image in ((2, expected[2]), (3, expected[0])):
         np.testing.assert_array_equal(light(MODEL, MASK, times)[0], image)
     assert loaded == needed
-    program_cache.remember()
+    program_cache.save_preload_list()
     loaded.clear()
     another_run()
-    program_cache.read_ahead("another picture")
+    program_cache.preload_programs("another picture")
     assert loaded == []
-    program_cache.read_ahead("a picture")
+    program_cache.preload_programs("a picture")
     assert loaded == [needed[2], needed[0]]
     assert traced == [3, 1, 2]
 
@@ -225,13 +223,13 @@ def test_what_was_needed_last_time_is_read_ahead(traced, another_run, loaded):
 def test_what_cannot_be_read_ahead_is_made_when_it_is_needed(traced, another_run, loaded):
     another_run()
     light = made(traced)
-    program_cache.read_ahead("a picture")
+    program_cache.preload_programs("a picture")
     expected = light(MODEL, MASK, 1)[0]
-    program_cache.remember()
+    program_cache.save_preload_list()
     for file in another_run():
         if file.name == loaded[0]:
             file.write_bytes(b"half a program")
-    program_cache.read_ahead("a picture")
+    program_cache.preload_programs("a picture")
     np.testing.assert_array_equal(light(MODEL, MASK, 1)[0], expected)
     assert traced == [1, 1]
 
@@ -239,13 +237,13 @@ def test_what_cannot_be_read_ahead_is_made_when_it_is_needed(traced, another_run
 def test_what_nobody_waits_for_is_not_read(traced, another_run, monkeypatch):
     another_run()
     light = made(traced)
-    program_cache.read_ahead("a picture")
+    program_cache.preload_programs("a picture")
     for times in (1, 2, 3):
         light(MODEL, MASK, times)
-    program_cache.remember()
+    program_cache.save_preload_list()
     another_run()
     begun, go_on, names = threading.Event(), threading.Event(), []
-    load = program_cache._loaded
+    load = program_cache._load
 
     def slowly(file):
         names.append(file.name)
@@ -254,14 +252,14 @@ def test_what_nobody_waits_for_is_not_read(traced, another_run, monkeypatch):
             assert go_on.wait(60)
         return load(file)
 
-    monkeypatch.setattr(program_cache, "_loaded", slowly)
-    reading = threading.Thread(target=program_cache.read_ahead, args=("a picture",))
+    monkeypatch.setattr(program_cache, "_load", slowly)
+    reading = threading.Thread(target=program_cache.preload_programs, args=("a picture",))
     reading.start()
     assert begun.wait(60)
     # Who is in more of a hurry than the one who reads ahead reads for himself.
     light(MODEL, MASK, 2)
     # The command ends while the first is being read: it waits for that, and for no other.
-    ending = threading.Thread(target=program_cache.remember)
+    ending = threading.Thread(target=program_cache.save_preload_list)
     ending.start()
     ending.join(0.2)
     assert ending.is_alive()

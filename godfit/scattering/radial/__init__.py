@@ -1,9 +1,10 @@
 """The radial sum: out(x) = c_0 M(x) + sum_k c_k M(x + t_k (l - x)).
 
-``radial_sum`` evaluates it by one of several methods. A method is an algorithm: it knows taps and
-no shaders, and all give the same numbers up to their stated error. To add one, write a function
-``f(mask, light, taps, at) -> values`` in a file of its own and name it in ``METHODS``. ``error``
-measures a method's error on a mask, and ``cheapest`` finds the cheapest that is exact enough.
+``radial_sum`` evaluates it by one of several methods. A method is an algorithm: its inputs are taps
+and not shaders, and all methods compute the same values up to their stated error. To add one, write
+a function ``f(mask, light, taps, at) -> values`` in a file of its own and name it in ``METHODS``.
+``error`` measures a method's error on a mask, and ``cheapest`` selects the cheapest method whose
+error is within a tolerance.
 """
 
 from __future__ import annotations

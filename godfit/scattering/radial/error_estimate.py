@@ -1,14 +1,14 @@
-"""How wrong is a method on this mask, and which is the cheapest that is right enough?
+"""The error of a method on a mask, and the cheapest method whose error is within a tolerance.
 
-A method's error depends on the mask more than on anything that could be said beforehand: merged
-taps that are off by a fifth of a level on clouds are off by sixteen on struts. So it is measured:
-the approximate picture is made and held against the exact sum at a few thousand probes. Errors sit
-at the edges of streaks, so most probes lie where the approximation is steep or bent, and a factor
-makes up for the worst pixel's not being among them: over 90 random pictures by six methods
-it was at most 1.95 times as wrong as the worst probe.
+A method's error depends on the mask more than on anything known beforehand: merged taps that are a
+fifth of a level off on clouds are sixteen levels off on struts. So it is measured: the approximate
+picture is computed and compared with the exact sum at a few thousand probes. Errors are largest at
+the edges of streaks, so most probes lie where the slope or the curvature of the approximation is
+large. The worst pixel need not be among them, and a safety factor makes up for that: over 90 random
+pictures by six methods its error was at most 1.95 times that of the worst probe.
 
-That costs more than one exact picture: it is for many pictures of much the same mask and taps, as
-in an animation, and to know an error at all. Nothing here runs inside ``jit``.
+An estimate costs more than one exact picture. It is worth that for many pictures of similar masks
+and taps, as in an animation, or where the error itself is wanted. Nothing here runs inside ``jit``.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ from godfit.scattering.radial.exact import EXACT, fastest
 from godfit.scattering.radial.methods import METHODS, radial_sum
 from godfit.scattering.taps import Taps
 
-# Of each kind; pictures with fewer pixels than all together are compared whole.
-PROBES = 1024
-SAFETY = 2.5
+PROBES_PER_KIND = 1024
+"""Probes of each of the four kinds: in this many the largest error is found within the factor."""
+ERROR_SAFETY_FACTOR = 2.5
+"""Estimate over the worst probe's error: above 1.95, the largest ratio measured (see above)."""
 
 Mask = Float[Array, "h w"] | Float[Array, "h w c"]
 
@@ -42,9 +43,9 @@ def error(
 ) -> float:
     """The largest error of ``method`` over the picture, estimated from above.
 
-    **Arguments:** as of `godfit.scattering.radial.radial_sum`; of several lights the errors add up.
+    **Arguments:** those of `godfit.scattering.radial.radial_sum`; errors of several lights add up.
 
-    - `scale`: what a value of 1 is; by default the result is in 8-bit levels. Values are not
+    - `scale`: multiplies the values; by default the result is in 8-bit levels. Values are not
       clamped, as a picture's are: there the error may be less.
 
     **Returns:** an upper estimate, not a bound: the worst of the probes times a safety factor.
@@ -56,33 +57,36 @@ def error(
 
 
 def _error(mask: Mask, light: Float[Array, "2"], taps: Taps, method: str) -> float:
-    rough = np.asarray(_sum(mask, light, taps, method=method))
-    h, w = rough.shape[:2]
-    if h * w <= 4 * PROBES:
-        return float(np.abs(rough - np.asarray(_sum(mask, light, taps))).max())
-    probes = _probes(rough if rough.ndim == 2 else rough.mean(-1))
-    at = jnp.asarray(np.stack([probes % w, probes // w], -1), rough.dtype)
+    approximate = np.asarray(_sum(mask, light, taps, method=method))
+    h, w = approximate.shape[:2]
+    if h * w <= 4 * PROBES_PER_KIND:
+        return float(np.abs(approximate - np.asarray(_sum(mask, light, taps))).max())
+    probes = _probes(approximate if approximate.ndim == 2 else approximate.mean(-1))
+    at = jnp.asarray(np.stack([probes % w, probes // w], -1), approximate.dtype)
     exact = np.asarray(_sum(mask, light, taps, at=at))
-    found = rough.reshape(h * w, *rough.shape[2:])[probes]
-    return SAFETY * float(np.abs(found - exact).max())
+    probed = approximate.reshape(h * w, *approximate.shape[2:])[probes]
+    return ERROR_SAFETY_FACTOR * float(np.abs(probed - exact).max())
 
 
 def _probes(picture: np.ndarray) -> np.ndarray:
-    """Row-major indices: random pixels, the steepest, the most bent, and the steepest of each cell
-    of the picture."""
+    """Row-major indices of four kinds: random pixels, those of the largest slope, those of the
+    largest curvature, and that of the largest slope in each cell of the picture."""
     h, w = picture.shape
     wide = np.pad(picture, 1, mode="edge")
     left, right, up, down = wide[1:-1, :-2], wide[1:-1, 2:], wide[:-2, 1:-1], wide[2:, 1:-1]
-    slope, bend = np.hypot(right - left, down - up), abs(left + right + up + down - 4 * picture)
-    random = np.random.default_rng(0).integers(0, h * w, PROBES)
-    most = [np.argpartition(z.ravel(), -PROBES)[-PROBES:] for z in (slope, bend)]
-    side = math.ceil(math.sqrt(h * w / PROBES))
+    slope = np.hypot(right - left, down - up)
+    curvature = abs(left + right + up + down - 4 * picture)
+    random = np.random.default_rng(0).integers(0, h * w, PROBES_PER_KIND)
+    largest = [
+        np.argpartition(z.ravel(), -PROBES_PER_KIND)[-PROBES_PER_KIND:] for z in (slope, curvature)
+    ]
+    side = math.ceil(math.sqrt(h * w / PROBES_PER_KIND))
     cells = np.pad(slope, ((0, -h % side), (0, -w % side)), constant_values=-1)
     cells = cells.reshape(-(-h // side), side, -(-w // side), side).swapaxes(1, 2)
     steepest = cells.reshape(*cells.shape[:2], -1).argmax(-1)
     rows, columns = np.indices(steepest.shape) * side
-    each = (rows + steepest // side) * w + columns + steepest % side
-    return np.concatenate([random, *most, each.ravel()])
+    of_cells = (rows + steepest // side) * w + columns + steepest % side
+    return np.concatenate([random, *largest, of_cells.ravel()])
 
 
 def cheapest(
@@ -92,42 +96,43 @@ def cheapest(
     tolerance: float,
     scale: float = 255.0,
 ) -> str:
-    """Name of the cheapest method whose estimated `error` is no more than ``tolerance``.
+    """Name of the cheapest method whose estimated `error` is at most ``tolerance``.
 
     Methods are tried in the order of their cost on this device for this size and number of taps
-    (`costs`), until one is good enough or none is cheaper than the fastest exact one, which is then
-    the answer, as it is for a tolerance of 0. Of several lights the errors add up.
+    (`costs`), until one is within the tolerance. If none that is cheaper than the fastest exact
+    method is, the result is that method, as it is for a tolerance of 0. Errors of several lights
+    add up. Raises ValueError for a negative tolerance.
     """
     if not tolerance >= 0:
         raise ValueError(f"tolerance: expected a number, 0 or more, got {tolerance}")
-    best = fastest(taps)
+    exact = fastest(taps)
     if tolerance == 0 or taps.unit != "ray":
-        return best
+        return exact
     price = costs(mask.shape[0], mask.shape[1], taps.count)
     for method in sorted(price, key=price.__getitem__):
-        if price[method] >= price[best]:
+        if price[method] >= price[exact]:
             break
         if error(mask, light, taps, method, scale) <= tolerance:
             return method
-    return best
+    return exact
 
 
 def costs(h: int, w: int, count: int) -> dict[str, float]:
-    """What each method costs, in taps of the fastest exact one at every pixel."""
+    """The cost of each method, in taps of the fastest exact one at every pixel."""
     compiled = fastest(Taps(0.0, 0.0, 0.0, 0.0, count)) == "strips"
-    # To read a small picture back; a gathered tap; a multiplication in a matrix.
-    grow, gather, multiply = (40.0, 12.0, 0.6) if compiled else (1.0, 1.0, 0.02)
+    # To enlarge a small picture; a gathered tap; a multiplication in a matrix.
+    enlarging, gathering, multiplying = (40.0, 12.0, 0.6) if compiled else (1.0, 1.0, 0.02)
     radii = math.hypot(h, w) / math.sqrt(2)
-    found = {
-        "reference": 1.5 * gather * count,
-        "pairs": gather * count,
-        "packed": 0.7 * gather * count,
-        "half": count / 4 + grow,
-        "quarter": count / 16 + grow,
-        "polar": 2 * grow + multiply * radii,
+    cost = {
+        "reference": 1.5 * gathering * count,
+        "pairs": gathering * count,
+        "packed": 0.7 * gathering * count,
+        "half": count / 4 + enlarging,
+        "quarter": count / 16 + enlarging,
+        "polar": 2 * enlarging + multiplying * radii,
         **{f"merged/{m}": float(-(-count // m)) for m in (2, 4, 8)},
-        **{f"gauss/{n}": 1.5 * gather * min(n, count) for n in (16, 32)},
+        **{f"gauss/{n}": 1.5 * gathering * min(n, count) for n in (16, 32)},
     }
     if compiled:
-        found["strips"] = float(count)
-    return {name: cost for name, cost in found.items() if name in METHODS}
+        cost["strips"] = float(count)
+    return {name: taps for name, taps in cost.items() if name in METHODS}

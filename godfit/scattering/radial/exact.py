@@ -19,8 +19,9 @@ Method = Callable[
     Float[Array, "*points"],
 ]
 
-# Exact: reference for every mask and taps, packed for 8-bit masks.
 EXACT: dict[str, Method] = {"reference": reference, "pairs": pairs, "packed": packed}
+"""Methods whose only error is rounding: packed for 8-bit masks, the others for every mask.
+Reference serves all taps, the others those whose unit is the ray."""
 
 try:
     from godfit.scattering.radial.strips import strips
@@ -38,14 +39,17 @@ def fastest(taps: Taps) -> str:
 
 
 def at_run_time(samples: Count) -> Count:
-    """``samples`` so that a program compiled for one number serves every other, where the fastest
-    method takes the number of taps at run time."""
+    """``samples``, as a number that compiled programs take at run time if the fastest method can:
+    a program compiled for one number then serves every other."""
     strips_serve = jax.default_backend() == "cpu" and "strips" in EXACT
     return RunTime(samples) if strips_serve and isinstance(samples, int) else samples
 
 
-def load_fastest() -> None:
-    """Compile or load what this method is made of, if it is not made by XLA."""
+def compile_fastest() -> None:
+    """Compile the numba functions of the fastest method, or load them from numba's cache.
+
+    Does nothing where the fastest method has none.
+    """
     if jax.default_backend() == "cpu" and "strips" in EXACT:
         from godfit.scattering.radial.strips_kernel import target
 
@@ -60,5 +64,5 @@ def exact(
     taps: Taps,
     at: Float[Array, "*points 2"] | None,
 ) -> Float[Array, "*points"]:
-    """See ``godfit.scattering.radial.radial_sum``."""
+    """The radial sum by the fastest exact method; see ``godfit.scattering.radial.radial_sum``."""
     return EXACT[fastest(taps)](mask, light, taps, at)

@@ -1,14 +1,14 @@
-"""Merged: fewer taps, each for a stretch of the ray.
+"""Merged taps: fewer taps, each in place of several neighbours along the ray.
 
-Neighbouring taps read nearly the same, so ceil(K/m) taps stand for K. They are geometric taps
-themselves, with weights and places such that the sum of the weights and their centroid over the ray
-are those of all K taps: the ends of the ray are corrected for, where a plain change of (decay,
-weight, samples; Mitchell, GPU Gems 3, ch. 13) is off by a tap's length.
+Neighbouring taps read nearly the same texels, so ceil(K/m) taps replace K. They are geometric taps
+themselves. Their weights and positions are such that the sum of the weights and their centroid
+along the ray equal those of all K taps. This corrects for the ends of the ray, where a plain change
+of (decay, weight, samples; Mitchell, GPU Gems 3, ch. 13) is off by the length of a tap.
 
 Cost: that of the exact sum over m. Error: banding, which falls as m/K on hard edges and as its
-square on soft masks. Derivatives are those of the merged sum, but for how the lag moves with the
-ratio: of 40 taps that is a thousandth of the derivative by the ratio for m = 2, and up to a
-twenty-fifth for m = 8.
+square on soft masks. Derivatives are those of the merged sum, without how the lag changes with the
+ratio. That part is, with 40 taps, a thousandth of the derivative by the ratio for m = 2, and up to
+a twenty-fifth for m = 8.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from godfit.scattering.radial.derivatives import along_the_ray
+from godfit.scattering.radial.derivatives import require_ray_taps
 from godfit.scattering.radial.exact import exact
 from godfit.scattering.taps import Taps
 
 
 def merge(taps: Taps, m: int) -> Taps:
-    """ceil(count/m) taps for ``taps``: of the same total and the same centroid over the ray."""
+    """ceil(count/m) taps with the total weight and the centroid along the ray of ``taps``."""
     count = -(-taps.count // m)
     if count == taps.count:
         return taps
     stretch = taps.count / count
-    # stretch > 1: the power and its derivative are finite at ratio 0, and nothing is divided by
-    # 1 - ratio.
+    # stretch > 1, so the power and its derivative are finite at ratio 0, and there is no division
+    # by 1 - ratio.
     ratio = jnp.asarray(taps.ratio) ** stretch
     total, centroid = _moments(taps.ratio, taps.count)
     total_merged, centroid_merged = _moments(ratio, count)
@@ -59,6 +59,6 @@ def merged(
     *,
     m: int,
 ) -> Float[Array, "*points"]:
-    """See ``godfit.scattering.radial.radial_sum``; ``m`` taps become one."""
-    along_the_ray(taps)
+    """See ``godfit.scattering.radial.radial_sum``; ``m`` taps are merged into one."""
+    require_ray_taps(taps)
     return exact(mask, light, merge(taps, m), at)

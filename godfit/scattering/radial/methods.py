@@ -1,4 +1,4 @@
-"""Every method by its name, and the function that picks one."""
+"""All methods by name, and ``radial_sum``, which evaluates a sum by one of them."""
 
 from __future__ import annotations
 
@@ -10,18 +10,20 @@ from jaxtyping import Array, Float
 
 from godfit.scattering.radial.exact import EXACT, Method, fastest
 from godfit.scattering.radial.gauss import gauss
-from godfit.scattering.radial.low_resolution import coarse
+from godfit.scattering.radial.low_resolution import low_resolution
 from godfit.scattering.radial.merged_taps import merged
 from godfit.scattering.radial.polar import polar
 from godfit.scattering.taps import Taps
 
 METHODS: dict[str, Method] = EXACT | {
     **{f"merged/{m}": functools.partial(merged, m=m) for m in (2, 4, 8)},
-    "half": functools.partial(coarse, cell=2),
-    "quarter": functools.partial(coarse, cell=4),
+    "half": functools.partial(low_resolution, cell=2),
+    "quarter": functools.partial(low_resolution, cell=4),
     "polar": polar,
     **{f"gauss/{nodes}": functools.partial(gauss, nodes=nodes) for nodes in (16, 32)},
 }
+"""Exact methods, and approximations with the number of taps merged into one, the reduction of the
+resolution, or the number of quadrature nodes."""
 
 
 def radial_sum(
@@ -36,12 +38,12 @@ def radial_sum(
 
     **Arguments:**
 
-    - `mask`: occlusion mask, (h, w) or (h, w, channels), row 0 at the top; read bilinearly, clamped
-      to its edge.
+    - `mask`: occlusion mask, (h, w) or (h, w, channels), row 0 at the top; interpolated bilinearly
+      and clamped to its edge.
     - `light`: (u, v) of the light in texture coordinates, on or off the image.
-    - `taps`: where the taps lie and what they weigh.
+    - `taps`: positions and weights of the taps.
     - `at`: (..., 2) columns and rows to evaluate at, in pixels of the mask (whole numbers are pixel
-      centres, so that these are met exactly); by default every pixel.
+      centres, at which nothing is interpolated); by default every pixel.
     - `method`: a key of `METHODS`, or `"auto"`: the fastest exact one that serves these taps.
 
     **Returns:** values shaped like `at` without its last axis ((h, w) by default), then channels.

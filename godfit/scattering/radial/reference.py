@@ -1,10 +1,12 @@
-"""Reference: the definition, a ``lax.scan`` over the taps with four reads for each.
+"""Reference: the definition, a ``lax.scan`` over the taps with four texel reads for each.
 
-Cost: taps x points x 4 reads. Error: rounding. Every derivative is JAX's own, so this is what the
-other methods and their hand-written derivatives are held against.
+Cost: taps x points x 4 reads. Error: rounding. Every derivative is JAX's own, so the other methods
+and their hand-written derivatives are tested against this one.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +19,7 @@ from godfit.scattering.taps import Scalar, Taps
 def bilinear(
     mask: Float[Array, "h w"], x: Float[Array, "*points"], y: Float[Array, "*points"]
 ) -> Float[Array, "*points"]:
-    """Mask value at column ``x``, row ``y`` (pixels), clamped to the edge as CLAMP_TO_EDGE does."""
+    """The mask at columns ``x`` and rows ``y`` (pixels), clamped to its edge (CLAMP_TO_EDGE)."""
     h, w = mask.shape
     i, j = jnp.floor(x), jnp.floor(y)
     fx, fy = x - i, y - j
@@ -38,26 +40,33 @@ def reference(
     taps: Taps,
     at: Float[Array, "*points 2"] | None,
 ) -> Float[Array, "*points"]:
-    """See ``godfit.scattering.radial.radial_sum``; serves every kind of taps."""
-    return weighted_sum(mask, light, taps.own, taps.c, taps.t, at, taps.unit)
+    """See ``godfit.scattering.radial.radial_sum``; serves taps of every unit."""
+    return weighted_sum(mask, light, WeightedTaps(taps.own, taps.c, taps.t), at, taps.unit)
+
+
+class WeightedTaps(NamedTuple):
+    """Taps of any weights ``c`` (count,) at any positions ``t`` (count,), and ``own``, the weight
+    of the pixel's own value."""
+
+    own: Scalar
+    c: Float[Array, " count"]
+    t: Float[Array, " count"]
 
 
 def weighted_sum(
     mask: Float[Array, "h w"],
     light: Float[Array, "2"],
-    own: Scalar,
-    c: Float[Array, " count"],
-    t: Float[Array, " count"],
+    taps: WeightedTaps,
     at: Float[Array, "*points 2"] | None,
     unit: str = "ray",
 ) -> Float[Array, "*points"]:
-    """The sum over taps of any weights ``c`` at any places ``t``."""
+    """The sum over taps whose positions are in ``unit``, as in ``Taps``; see ``radial_sum``."""
     h, w = mask.shape
     x, y = points(h, w, at, mask.dtype)
     light_x, light_y = to_pixels(light, h, w)
     ray_x, ray_y = light_x - x, light_y - y
     # A step in texture coordinates is a fraction step / |l - x| of the ray. At the light itself the
-    # ray has no direction; the guard keeps its derivative finite.
+    # ray has no direction; the 1 in place of its length keeps the derivative finite.
     squared = (ray_x / w) ** 2 + (ray_y / h) ** 2
     length = jnp.sqrt(jnp.where(squared > 0, squared, 1.0)) if unit == "uv" else 1.0
 
@@ -69,6 +78,6 @@ def weighted_sum(
             value = jnp.where((fraction <= 1) & (squared > 0), value, 0.0)
         return total + value, None
 
-    own = own * bilinear(mask, x, y)
-    total, _ = jax.lax.scan(tap, own, (c, t))
+    own = taps.own * bilinear(mask, x, y)
+    total, _ = jax.lax.scan(tap, own, (taps.c, taps.t))
     return total

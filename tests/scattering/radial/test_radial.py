@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from godfit.inference.sample_count import left
 from godfit.scattering import radial
+from godfit.scattering.radial.spacings_kernel import residual_squares
 from godfit.scattering.taps import Taps, convention
 from tests.support import scattering_oracle as oracle
 
@@ -141,12 +141,12 @@ def test_pairs_beyond_one_block(monkeypatch, block):
     at = jnp.asarray(AT[:5])
 
     def everything(light):
-        # Not the jitted one: its cache would not notice that BLOCK has changed.
+        # Not the jitted one: its cache would not notice that POINTS_PER_BLOCK has changed.
         whole = radial.radial_sum(mask, light, TAPS, method="pairs")
         return whole, radial.radial_sum(mask, light, TAPS, at=at, method="pairs")
 
     expected = everything(light), jax.jacfwd(everything)(light)
-    monkeypatch.setattr(pairs_module, "BLOCK", block)
+    monkeypatch.setattr(pairs_module, "POINTS_PER_BLOCK", block)
     actual = everything(light), jax.jacfwd(everything)(light)
     jax.tree.map(lambda a, e: agree(a, e, 1e-13), actual, expected)
 
@@ -212,7 +212,9 @@ def test_what_spacings_leave_of_a_target_is_what_least_squares_leave(shows_own):
     numbers = np.array([[*place, r, s, 0.0] for r, s in zip(ratios, steps, strict=True)])
     padded = np.pad(mask, ((1, 1), (1, 2)), mode="edge")
 
-    found = left(padded.astype(np.float32), at, numbers, np.array(counts), shows_own, target)
+    found = residual_squares(
+        padded.astype(np.float32), at, numbers, np.array(counts), shows_own, target
+    )
 
     for squares, count, step, ratio in zip(found, counts, steps, ratios, strict=True):
         made = [(1.0, 0.0), (0.0, 1.0)] if shows_own else [(0.0, 1.0)]
