@@ -74,8 +74,8 @@ def _distinct(points: list[Point], problem: Problem) -> list[Point]:
     compared = ~np.isin(problem.names, trading(problem.model))
 
     def same(p: Point, q: Point) -> bool:
-        near = {"rtol": SAME_RELATIVE, "atol": SAME_ABSOLUTE}
-        alike = np.allclose(p.coordinates[compared], q.coordinates[compared], **near)
+        here, there = p.coordinates[compared], q.coordinates[compared]
+        alike = np.allclose(here, there, rtol=SAME_RELATIVE, atol=SAME_ABSOLUTE)
         return bool(abs(p.cost - q.cost) < SAME_COST * q.cost) and alike
 
     return distinct(points, same)

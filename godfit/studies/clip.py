@@ -109,9 +109,9 @@ def fit_clip(
                 shown = _small(image)
         if len(answers) < 2:
             raise InputError(f"frames: expected at least two, got {len(answers)}")
-        return _concluded(
-            answers, shading, held, tuple(notes), tuple(dict.fromkeys(warnings)), shown, began
-        )
+        said = tuple(notes), tuple(dict.fromkeys(warnings))
+        result = _pooled_result(answers, shading, held, said, shown)
+    return dataclasses.replace(result, timing_s={"solve": time.perf_counter() - began})
 
 
 def _check_size(name: str, image: Image, valid: np.ndarray | None) -> None:
@@ -202,15 +202,15 @@ def _so_far(answers: list[_Answer]) -> np.ndarray | None:
     return np.where(best.told, best.at[:SHARED], np.nan)
 
 
-def _concluded(
+def _pooled_result(
     answers: list[_Answer],
     shading: AbstractModel,
     held: np.ndarray,
-    notes: tuple[str, ...],
-    warnings: tuple[str, ...],
+    said: tuple[tuple[str, ...], tuple[str, ...]],
     shown: np.ndarray,
-    began: float,
 ) -> ClipResult:
+    """What the frames determine together; ``said`` are notes and warnings on single frames."""
+    notes, warnings = said
     pool = _pooled(answers)
     told = np.isfinite(np.diag(pool.covariance))
     agrees = pool.agrees & [a.told.any() for a in answers]
@@ -252,7 +252,7 @@ def _concluded(
         undetermined=result.undetermined,
         warnings=warnings,
         notes=notes,
-        timing_s={"solve": time.perf_counter() - began},
+        timing_s={},
         shown=shown,
     )
 
