@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 CLEAR = 10.0
-"""Difference in a criterion that leaves the lesser model little support (Burnham & Anderson 2.6)."""
+"""Difference in a criterion that leaves the other model little support (Burnham & Anderson 2.6)."""
 
 
 def aic(log_likelihood: float, parameters: int) -> float:

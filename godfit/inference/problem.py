@@ -133,8 +133,8 @@ def checked_picture(
 def given_and_held(
     model: AbstractModel, fix: Mapping[str, float | None], start: Mapping[str, float]
 ) -> tuple[dict[str, float], np.ndarray]:
-    """Values that a search starts from, by name, and (p,) those of the parameters that are held, NaN
-    where free. Raises InputError for an unknown name, or a value out of range."""
+    """Values that a search starts from, by name, and (p,) those of the parameters that are held,
+    NaN where free. Raises InputError for an unknown name, or a value out of range."""
     table = model.parameters
     given: dict[str, float] = {}
     for option, values in (("start", start), ("fix", fix)):
