@@ -1,4 +1,4 @@
-"""Other starts and other interpretations of the images, where the residual of a fit is not noise."""
+"""Other starts and other explanations of the images, where the residual of a fit is not noise."""
 
 from __future__ import annotations
 
@@ -129,8 +129,8 @@ def _settled(problem: Problem, start: np.ndarray) -> Settled:
 
 
 def edges_agree(target: np.ndarray, mask: np.ndarray) -> tuple[int, int]:
-    """The shift of ``mask`` (h, w), at most MAX_SHIFT pixels either way, by which its fine detail is
-    correlated most with that of ``target`` (h, w)."""
+    """The shift of ``mask`` (h, w), at most MAX_SHIFT pixels either way, by which its fine detail
+    is correlated most with that of ``target`` (h, w)."""
     inner = (slice(MAX_SHIFT, -MAX_SHIFT),) * 2
     fine = [z - ndimage.gaussian_filter(z, FINE_DETAIL) for z in (target, mask)]
 
