@@ -89,7 +89,7 @@ def test_the_gain_is_the_shaders_and_not_what_its_disc_adds(held):
         still = np.full(len(z), np.nan, np.float32)
         if held is not None:
             still[VEIL] = held
-        at, slopes = clip._of_the_shader(model, z, still)
+        at, slopes = clip._shader_coordinates(model, z, still)
     np.testing.assert_allclose(at, truly().coordinates(), rtol=1e-5)
     expected = np.eye(6, len(z))
     expected[GAIN, GAIN] = 1.0 if held is None else 1 / (1 - held)
