@@ -14,7 +14,7 @@ from godfit.commands.study import (
     command_line,
     folder_for,
     prepare,
-    say,
+    print_result,
     working,
     written,
 )
@@ -25,7 +25,7 @@ ACCEPTED = ("shader", "samples", "pass_scale", "transfer", "fix", "start", "igno
 
 
 def fit_frames(targets: tuple[str, ...], every: int, given: Mapping[str, Any], run: Run) -> int:
-    """Fit one shader to all ``targets`` and a light to each; the rest as of one picture."""
+    """Fit one shader to all ``targets`` and a light to each of them; returns the exit status."""
     options = {name: value for name, value in given.items() if value not in (None, (), False, {})}
     for name in options:
         if name not in ACCEPTED:
@@ -44,7 +44,7 @@ def fit_frames(targets: tuple[str, ...], every: int, given: Mapping[str, Any], r
         progress("drawing")
         result.save(folder, command_line())
     notes = [*result.notes, *result.undetermined, *result.warnings]
-    say(result, notes, run, written(folder, "fit.json", "fit.png"))
+    print_result(result, notes, run, written(folder, "fit.json", "fit.png"))
     return 0 if result.converged else NOT_CONVERGED
 
 

@@ -1,4 +1,4 @@
-"""Akaike's and Schwarz's criteria: which of several models a picture deserves.
+"""Akaike's and Schwarz's criteria, which compare several models of one picture.
 
 Twice the negative log-likelihood, plus 2 (Akaike) or ln(values) (Schwarz) for every parameter that
 the picture determines, the noise among them (Burnham & Anderson, Model Selection and Multimodel

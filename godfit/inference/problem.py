@@ -1,4 +1,4 @@
-"""What a fit solves: a model, a picture, and which of the model's parameters are free."""
+"""The problem that a fit solves: a model, a picture, and which of its parameters are free."""
 
 from __future__ import annotations
 
@@ -19,19 +19,20 @@ from godfit.models.base import AbstractModel
 from godfit.models.build import check_values
 
 MAX_VALUES = 1 << 21
-"""Values (pixels times channels) of a fit, at most: more add nothing, and their derivatives would
-fill the memory."""
+"""Values (pixels times channels) of a fit, at most: more hardly change the errors, and their
+derivatives would fill the memory."""
 PIXELS = 2048
-"""Pixels of a search: enough to tell minima apart, few enough to be evaluated in milliseconds."""
+"""Pixels of a search: enough to rank minima, few enough to be evaluated in milliseconds."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Problem:
     """A model to be fitted to a picture.
 
-    ``model`` says which kind; the point it is at does not matter. ``free`` (p,) are the coordinates
-    that may move, ``held`` (p,) the values of the parameters that may not, NaN where free. ``seed``
-    is that of the choice of pixels. Coordinates and parameters have the same names and order.
+    ``model`` gives the kind of model; its own parameters do not matter. ``free`` (p,) are the
+    coordinates that may move, ``held`` (p,) the values of the parameters that may not, NaN where
+    free. ``seed`` is that of the choice of pixels. Coordinates and parameters have the same names
+    and order.
     """
 
     model: AbstractModel

@@ -195,7 +195,6 @@ def _message(settled: Settled, trusted: bool, residual_misfit: Misfit, a_line: b
             f"{residual_misfit.correlation:.2f}, tails of {residual_misfit.tails:.1f} where noise "
             "has 3): the shader, mask or transfer may be another, or the search ended in a wrong "
             "minimum; try --start"
-
         )
     if a_line:
         return (
