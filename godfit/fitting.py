@@ -37,7 +37,7 @@ from godfit.scenes.view import (
     scene_at_pass_size,
 )
 
-NOTHING = np.zeros((0, 0), np.float32)
+NO_VALUES = np.zeros((0, 0), np.float32)
 """Stands for the values of an image of which only the file's name is still needed."""
 
 
@@ -243,7 +243,7 @@ def _pose(request: Request) -> Posed:
             images["target"], images["mask"], images.get("background"), request.valid, pass_scale,
             request.channels or model.channels,
         )  # fmt: skip
-    images = {role: dataclasses.replace(im, values=NOTHING) for role, im in images.items()}
+    images = {role: dataclasses.replace(im, values=NO_VALUES) for role, im in images.items()}
     given, held = given_and_held(model, request.fix or {}, start)
     free = np.isnan(held) & model.used
     assert scene is None or isinstance(scene, Scene)

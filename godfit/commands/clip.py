@@ -32,7 +32,7 @@ def fit_frames(targets: tuple[str, ...], every: int, given: Mapping[str, Any], r
             option = name.replace("_", "-")
             raise click.UsageError(f"--{option}: expected one picture with it, got several frames")
     folder = folder_for(common_name(targets), run.output)
-    each = frames(targets, every, options.pop("transfer", "none"))
+    images = frames(targets, every, options.pop("transfer", "none"))
     ignore, valid = options.pop("ignore", ()), None
     if ignore:
         valid = valid_pixels(ignore, next(iter(frames(targets, every))).values.shape[:2])
@@ -40,7 +40,7 @@ def fit_frames(targets: tuple[str, ...], every: int, given: Mapping[str, Any], r
         from godfit.studies.clip import fit_clip
 
         prepare(options, run, progress)
-        result = fit_clip(each, valid=valid, seed=run.seed, progress=progress, **options)
+        result = fit_clip(images, valid=valid, seed=run.seed, progress=progress, **options)
         progress("drawing")
         result.save(folder, command_line())
     notes = [*result.notes, *result.undetermined, *result.warnings]

@@ -21,7 +21,7 @@ from godfit.models.build import check_values
 MAX_VALUES = 1 << 21
 """Values (pixels times channels) of a fit, at most: more hardly change the errors, and their
 derivatives would fill the memory."""
-PIXELS = 2048
+SEARCH_PIXELS = 2048
 """Pixels of a search: enough to rank minima, few enough to be evaluated in milliseconds."""
 
 
@@ -84,11 +84,11 @@ class Problem:
         return self.picture.observe(self.picture.informative(count, self.seed), blur)
 
 
-def pixels_used(picture: Picture, seed: int, most: int = MAX_VALUES) -> np.ndarray:
+def pixels_used(picture: Picture, seed: int, max_values: int = MAX_VALUES) -> np.ndarray:
     """Sorted indices of all valid pixels, or of those in rows drawn at random where there are more
-    than ``most`` values."""
+    than ``max_values`` values."""
     valid = picture.valid
-    rows = max(1, most // (valid.shape[1] * picture.channels))
+    rows = max(1, max_values // (valid.shape[1] * picture.channels))
     if rows < valid.shape[0]:
         chosen = np.random.default_rng(seed).permutation(valid.shape[0])[:rows]
         only = np.zeros_like(valid)

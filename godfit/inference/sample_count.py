@@ -21,12 +21,12 @@ from godfit.models.mitchell import Mitchell, resampled
 from godfit.runtime.parallel import cores, parallel_map
 from godfit.scattering.radial.spacings_kernel import left
 
-SCAN_PIXELS = 128
+SPACING_PIXELS = 128
 """Pixels at which every spacing is evaluated: thousands of spacings limit their number."""
-RESCAN_PIXELS = 4096
+FINE_SPACING_PIXELS = 4096
 """Pixels at which the best spacings are evaluated."""
-RESCANNED = 12
-"""Spacings that are evaluated at RESCAN_PIXELS: SCAN_PIXELS do not rank the best ones."""
+FINE_SPACINGS = 12
+"""Spacings that are evaluated at FINE_SPACING_PIXELS: SPACING_PIXELS do not rank the best ones."""
 LEAST_SAMPLES = 8
 """Samples of the coarsest shader that is tried: fewer show their taps one by one."""
 MOST_SAMPLES = 320
@@ -34,7 +34,7 @@ MOST_SAMPLES = 320
 SPACING_OFFSETS = np.linspace(-1, 1, 9)
 """Densities that are tried for a number of samples, in distances between two taps."""
 SAMPLES_GAIN = 8.0
-"""Gain in log-likelihood of RESCAN_PIXELS values below which another number is not fitted."""
+"""Gain in log-likelihood of FINE_SPACING_PIXELS values below which another number is not fitted."""
 
 
 class Spacing(NamedTuple):
@@ -91,10 +91,10 @@ def other_samples(model: Mitchell, picture: Picture, seed: int = 0) -> Mitchell 
         return None
     if model.light.shape[0] != 1:
         return None
-    coarse = _Scan(model, picture, SCAN_PIXELS, seed)
-    fine = _Scan(model, picture, RESCAN_PIXELS, seed)
+    coarse = _Scan(model, picture, SPACING_PIXELS, seed)
+    fine = _Scan(model, picture, FINE_SPACING_PIXELS, seed)
     tried = [taps for n in range(LEAST_SAMPLES, MOST_SAMPLES + 1) for taps in _about(model, n)]
-    order = np.argsort(coarse.costs(tried), kind="stable")[:RESCANNED]
+    order = np.argsort(coarse.costs(tried), kind="stable")[:FINE_SPACINGS]
     candidates = [tried[i] for i in order]
     own = fine.costs(_about(model, model.samples)).min()
     costs = fine.costs(candidates)

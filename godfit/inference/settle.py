@@ -12,7 +12,7 @@ import numpy as np
 
 from godfit.inference.noise import EXPLAINED, FINAL_SIGMA_VALUES, best_sigma
 from godfit.inference.observation import Observation
-from godfit.inference.problem import PIXELS, Problem
+from godfit.inference.problem import SEARCH_PIXELS, Problem
 from godfit.inference.solver import Intervals, Tangent, solve_tangent, tangent_at
 from godfit.runtime.blas import one_thread
 
@@ -143,8 +143,10 @@ def _spot_checks(observation: Observation) -> list[tuple[np.ndarray, Observation
     """Pixels drawn at random, as observations of PIXELS each, with the indices of their values;
     none where the picture has not enough pixels."""
     total = len(observation.pixels)
-    count = total // (SPOT_CHECK_STRIDE * PIXELS)
-    drawn = np.random.default_rng(0).choice(total, (count, PIXELS), replace=False, shuffle=False)
+    count = total // (SPOT_CHECK_STRIDE * SEARCH_PIXELS)
+    drawn = np.random.default_rng(0).choice(
+        total, (count, SEARCH_PIXELS), replace=False, shuffle=False
+    )
     channels = np.arange(observation.channels)
     return [
         ((rows[:, None] * observation.channels + channels).reshape(-1), observation.only(rows))

@@ -29,7 +29,7 @@ MAX_ACTIVE_SET_ROUNDS = 6
 """Solves with another set of coordinates on their bounds, at most, lest they go in circles."""
 MAX_STEPS = 12
 """Steps of Levenberg-Marquardt, at most: they limit the time that a poor start takes."""
-RTOL = 1e-5
+SOLVER_RTOL = 1e-5
 """Relative change of coordinates and deviance at which a solve ends: near the error of float32."""
 MAX_TANGENT_STEPS = 60
 """Newton steps on a tangent, at most: a limit for likelihoods that are nearly flat."""
@@ -59,7 +59,7 @@ class Stop(NamedTuple):
     """When a solve stops: once no step changes coordinates (in their scales) or deviance by more
     than a share of ``rtol``, or after ``steps``."""
 
-    rtol: float = RTOL
+    rtol: float = SOLVER_RTOL
     steps: int = MAX_STEPS
 
 

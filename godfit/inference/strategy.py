@@ -56,14 +56,14 @@ def starts(
     raise TypeError(f"no starts are registered for {type(model).__name__}")
 
 
-STARTS = 6
+SEARCH_STARTS = 6
 """Starting points of a search: stages drop those that fall behind, so that more cost little."""
 
 
 def starting_points(problem: Problem, given: dict[str, float]) -> list[np.ndarray]:
-    """The STARTS best starting points (p,) of a problem's search, best first."""
+    """The SEARCH_STARTS best starting points (p,) of a problem's search, best first."""
     small = problem.picture.small
-    return starts(problem.model, small, given, keep=STARTS, seed=problem.seed)
+    return starts(problem.model, small, given, keep=SEARCH_STARTS, seed=problem.seed)
 
 
 @functools.singledispatch

@@ -53,14 +53,18 @@ class Comparison:
         if not others:
             return f"{best.name} has the lowest BIC"
         ahead = others[0].bic - best.bic
-        said = f"{best.name} is preferred: its BIC is {ahead:.4g} below that of {others[0].name}"
+        sentence = (
+            f"{best.name} is preferred: its BIC is {ahead:.4g} below that of {others[0].name}"
+        )
         if ahead < CLEAR:
-            said = f"{best.name} and {others[0].name} explain it alike: BIC differs by {ahead:.2g}"
+            sentence = (
+                f"{best.name} and {others[0].name} explain it alike: BIC differs by {ahead:.2g}"
+            )
         if not best.result.converged:
-            said += (
+            sentence += (
                 f"; neither leaves only noise ({best.result.rmse_levels:.2f} levels rms are left)"
             )
-        return said
+        return sentence
 
     def summary(self) -> str:
         """A plain-text table."""

@@ -30,23 +30,23 @@ class Simpler:
         needed, given = self.model.samples, self.full.samples
         if self.saving == 1:
             return f"this picture needs all of its {given} samples"
-        said = f"this picture needs {needed} samples, not {given}"
+        sentence = f"this picture needs {needed} samples, not {given}"
         if needed == given:
-            said = f"this picture needs its {given} samples"
+            sentence = f"this picture needs its {given} samples"
         if self.scale < 1:
-            said += f", and a light pass of {self.scale:g} times the sides"
-        return f"{said}: {self.saving:.3g} times fewer taps"
+            sentence += f", and a light pass of {self.scale:g} times the sides"
+        return f"{sentence}: {self.saving:.3g} times fewer taps"
 
     def summary(self) -> str:
         """The sentence, and what to paste into the shader."""
-        said = f"off by {self.worst:.3g} levels at most, {self.rms:.3g} rms"
+        sentence = f"off by {self.worst:.3g} levels at most, {self.rms:.3g} rms"
         settings = [("samples", str(self.model.samples))]
         settings += [(name, f"{value:.9g}") for name, value in _numbers(self.model).items()]
         if self.scale < 1:
             settings.append(("pass scale", f"{self.scale:g}"))
         wide = max(len(name) for name, _ in settings)
         lines = [f"  {name:<{wide}} = {value}" for name, value in settings]
-        return "\n".join([self.sentence, f"  ({said})", "", *lines])
+        return "\n".join([self.sentence, f"  ({sentence})", "", *lines])
 
     def record(self, command: str = "") -> dict[str, Any]:
         """What ``godfit simplify --json`` prints; ``godfit render --params`` reads it."""

@@ -108,9 +108,9 @@ def _solved_off_streaks(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np
         off = np.abs(_residual(problem, z)).max(-1)
         usual = 4 * float(np.median(off.reshape(-1)[pixels]))
         off_streak = off <= max(usual, 2 * ROUNDING_LEVELS)
-        kept = pixels[off_streak.reshape(-1)[pixels]]
+        ordinary = pixels[off_streak.reshape(-1)[pixels]]
         # Repeated to the same number, so that nothing is compiled anew.
-        observation = picture.observe(np.sort(np.resize(kept, len(pixels))))
+        observation = picture.observe(np.sort(np.resize(ordinary, len(pixels))))
         z = solve(z, problem, observation, ROUNDING_LEVELS).coordinates
     return z, off_streak
 

@@ -40,7 +40,7 @@ BRIGHT_PLACES = 65
 """Lights drawn where the target is bright: with these the number of lights is even, and halves."""
 BRIGHT_FLOOR = 1e-12
 """Weight of a black pixel in that draw: each must have some."""
-KAPPAS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 7.0, 11.0, 18.0, 30.0)
+SCREENED_KAPPAS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 7.0, 11.0, 18.0, 30.0)
 """Attenuations along the whole ray that are tried, closer together where they matter most."""
 TRUSTED_SHARE = 0.99
 """Share of a cell's pixels that must be valid and not clipped for the cell to count."""
@@ -254,7 +254,7 @@ def _shapes(given: dict[str, float], samples: int) -> np.ndarray:
     densities = (given["density"],) if "density" in given else DENSITIES
     pairs = []
     for density in densities:
-        kappas: tuple[float, ...] = KAPPAS
+        kappas: tuple[float, ...] = SCREENED_KAPPAS
         if "decay" in given:
             kappas = (-samples * float(np.log(max(given["decay"], 1e-6))) / max(density, 1e-3),)
         pairs += [(kappa, density) for kappa in kappas]

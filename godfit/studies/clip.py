@@ -36,7 +36,7 @@ from godfit.studies.pooling import Pool, pooled
 if TYPE_CHECKING:
     pass
 
-SHARED = len(SCATTERING)
+SHARED_COUNT = len(SCATTERING)
 """Parameters that all frames share: exposure, decay, density and weight."""
 CLIP_SIDE = 640
 """Pixels of the longer side of the first frame's copy, at most: the report shows no more."""
@@ -65,7 +65,7 @@ class _Answer(NamedTuple):
     @property
     def determined(self) -> np.ndarray:
         """(4,) which coordinates of the scattering the frame determines."""
-        determined = (np.diag(self.covariance)[:SHARED] > 0) & (not self.message)
+        determined = (np.diag(self.covariance)[:SHARED_COUNT] > 0) & (not self.message)
         determined[[index for index, _ in self.open_]] = False
         return determined
 
@@ -164,14 +164,14 @@ def _shared(at: np.ndarray) -> np.ndarray:
     """(4,) the pooled quantities, from coordinates (6,): exposure; attenuation along the whole ray,
     which depends on decay alone; density; and the logarithm of gain times density, which depends
     on exposure times weight alone, and which frames determine to within a factor."""
-    exposure, kappa, density, gain = at[:SHARED]
+    exposure, kappa, density, gain = at[:SHARED_COUNT]
     return np.array([exposure, kappa * density, density, np.log(max(gain * density, FAINTEST))])
 
 
 def _slopes(at: np.ndarray) -> np.ndarray:
     """(4, 4) derivatives of ``_shared`` by the coordinates."""
-    _, kappa, density, gain = at[:SHARED]
-    out = np.eye(SHARED)
+    _, kappa, density, gain = at[:SHARED_COUNT]
+    out = np.eye(SHARED_COUNT)
     out[1, 1:3] = density, kappa
     out[3, 2:] = 1 / density, 1 / max(gain, FAINTEST)
     return out
@@ -182,7 +182,7 @@ def _information(answer: _Answer) -> np.ndarray:
     Their covariances are not used. Where masks are estimated for each frame they claim to determine
     combinations better than they do; and where frames vary alike, the mean does not depend on
     them."""
-    block, slopes = answer.covariance[:SHARED, :SHARED], _slopes(answer.at)
+    block, slopes = answer.covariance[:SHARED_COUNT, :SHARED_COUNT], _slopes(answer.at)
     variance = np.diag(slopes @ block @ slopes.T)
     return np.diag(np.where(answer.determined, 1 / np.where(answer.determined, variance, 1.0), 0.0))
 
@@ -209,7 +209,7 @@ def _so_far(answers: list[_Answer]) -> np.ndarray | None:
     if not converged:
         return None
     best = min(converged, key=lambda answer: answer.noise)
-    return np.where(best.determined, best.at[:SHARED], np.nan)
+    return np.where(best.determined, best.at[:SHARED_COUNT], np.nan)
 
 
 def _concluded(
@@ -225,24 +225,26 @@ def _concluded(
     determined = np.isfinite(np.diag(pool.covariance))
     agreeing = pool.agrees & [a.determined.any() for a in answers]
     first = answers[int(agreeing.argmax())]
-    spread = np.zeros((SHARED + 2, SHARED + 2))
-    spread[:SHARED, :SHARED] = np.where(determined[:, None] & determined, pool.covariance, 0.0)
+    spread = np.zeros((SHARED_COUNT + 2, SHARED_COUNT + 2))
+    spread[:SHARED_COUNT, :SHARED_COUNT] = np.where(
+        determined[:, None] & determined, pool.covariance, 0.0
+    )
     open_ = [o for o in first.open_ if not determined[o[0]]]
-    held[SHARED:] = first.at[SHARED:]
+    held[SHARED_COUNT:] = first.at[SHARED_COUNT:]
     for index, _ in open_:
         held[index] = first.at[index]
     free, used = (
         np.append(determined, [False, False]),
-        np.append(shading.used[:SHARED], [False, False]),
+        np.append(shading.used[:SHARED_COUNT], [False, False]),
     )
-    z = np.append(pool.mean, first.at[SHARED:])
+    z = np.append(pool.mean, first.at[SHARED_COUNT:])
     solution = Solution(z.astype(np.float32), spread, free, held, open_)
     result = estimates(shading, solution, used)
     frames = tuple(
         Frame(
             a.name,
-            a.at[SHARED:],
-            np.sqrt(np.diag(a.covariance)[SHARED:]),
+            a.at[SHARED_COUNT:],
+            np.sqrt(np.diag(a.covariance)[SHARED_COUNT:]),
             *_alone(a, shading, used),
             _why(a, bool(ok)),
         )

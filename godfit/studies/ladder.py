@@ -17,7 +17,7 @@ from godfit.inference.distinct import DOUBT, distinct
 from godfit.inference.information import misfit
 from godfit.inference.noise import EXPLAINED, WITHIN_ROUNDING
 from godfit.inference.observation import Observation
-from godfit.inference.problem import PIXELS, Problem, pixels_used
+from godfit.inference.problem import SEARCH_PIXELS, Problem, pixels_used
 from godfit.inference.settle import settle, veil
 from godfit.inference.solver import Tangent
 from godfit.inference.strategy import left_open
@@ -55,7 +55,7 @@ class Ladder:
         self.base, self.shader, self.seed, self.say = base, base.model, seed, say
         self.picture = base.picture
         self.observation = self.picture.observe(pixels_used(self.picture, seed, LADDER_VALUES))
-        self.ranking_pixels = self.picture.observe(self.picture.informative(PIXELS, seed))
+        self.ranking_pixels = self.picture.observe(self.picture.informative(SEARCH_PIXELS, seed))
         self.views = list(multigrid.blurred_views(self.picture.small, seed))
         published = self.shader.convention.defaults
         self.held = {name: published.get(name, SHIPPED_DEFAULTS[name]) for name in SHIPPED_DEFAULTS}
