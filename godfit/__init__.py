@@ -1,6 +1,6 @@
-"""Reads the parameters of god rays out of images.
+"""Estimates the parameters of god rays from images.
 
-``fit`` is the main job; ``Mitchell`` renders; ``radial_sum`` and ``Taps`` are what both stand on.
+``fit`` estimates; ``Mitchell`` renders; both are built on ``radial_sum`` and ``Taps``.
 """
 
 from typing import TYPE_CHECKING
@@ -56,7 +56,7 @@ _HOMES = {
 
 
 def __getattr__(name: str):
-    """What needs JAX is imported when it is asked for: the command line's help is instant."""
+    """Import names that need JAX on first use: the command line's help is then instant."""
     if name not in _HOMES:
         raise AttributeError(f"module 'godfit' has no attribute '{name}'")
     import importlib

@@ -22,6 +22,10 @@ from godfit.commands.simplify import simplify
 from godfit.errors import InputError
 
 INTERRUPTED = 130
+"""Exit status after an interrupt: 128 plus the number of SIGINT, as shells have it."""
+GARBAGE_THRESHOLD = 100_000
+"""Objects that are allocated between two garbage collections; imports and tracing make many objects
+and little garbage, and a collection takes some hundredths of a command."""
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -42,8 +46,8 @@ def main(arguments: list[str] | None = None) -> int:
     except click.UsageError as error:
         message, status = error.format_message(), 2
         if isinstance(error, click.NoSuchOption) and error.possibilities:
-            near = difflib.get_close_matches(error.option_name, error.possibilities, 1)
-            message = f"{error.option_name}: no such option; did you mean {(near or ['-h'])[0]}?"
+            closest = difflib.get_close_matches(error.option_name, error.possibilities, 1)
+            message = f"{error.option_name}: no such option; did you mean {(closest or ['-h'])[0]}?"
     except click.ClickException as error:
         message, status = error.format_message(), 1
     except (click.Abort, KeyboardInterrupt):
@@ -66,22 +70,22 @@ def _interrupt(number: int, frame: Any) -> None:
 
 def run() -> None:
     """The ``godfit`` command."""
-    # Many small programs follow each other here, for which a GPU takes longer than a CPU, and some
-    # of them are compiled for CPUs alone. JAX reads this when it is first imported.
+    # A fit is a sequence of many small programs, for which a GPU takes longer than a CPU, and some
+    # of them are compiled for CPUs alone. JAX reads this variable when it is first imported.
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
     signal.signal(signal.SIGINT, _interrupt)
-    # Where an interrupt falls into a finaliser, Python prints it and goes on; the next stage stops.
-    sys.unraisablehook = lambda lost: (
-        None if isinstance(lost.exc_value, KeyboardInterrupt) else sys.__unraisablehook__(lost)
+    # Python prints an interrupt that falls into a finaliser and goes on; the next stage stops then.
+    sys.unraisablehook = lambda unraisable: (
+        None
+        if isinstance(unraisable.exc_value, KeyboardInterrupt)
+        else sys.__unraisablehook__(unraisable)
     )
-    # Imports and tracing make many objects, few of them garbage, and to look through them at every
-    # turn takes some hundredths of a command.
-    gc.set_threshold(100_000)
+    gc.set_threshold(GARBAGE_THRESHOLD)
     status = main()
     sys.stdout.flush()
     sys.stderr.flush()
-    # An orderly end takes a third of a second, and would pull the memory from under compiled
-    # programs that an interrupt has left running.
+    # An ordinary exit takes a third of a second, and would free the memory of compiled programs
+    # that an interrupt has left running.
     os._exit(status)
 
 

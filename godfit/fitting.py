@@ -1,4 +1,4 @@
-"""The one entry of a fit: which search it takes, and the verdict."""
+"""The entry of a fit: it chooses the search and returns the verdict."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-# These register how each model is searched for.
+# Importing these registers the searches of each model.
 import godfit.flatland.starts
 import godfit.search  # noqa: F401
 from godfit.blind import photograph, unaided
@@ -37,7 +37,7 @@ from godfit.scenes.view import (
     scene_at_pass_size,
 )
 
-NOTHING = np.zeros((0, 0), np.float32)
+NO_VALUES = np.zeros((0, 0), np.float32)
 """Stands for the values of an image of which only the file's name is still needed."""
 
 
@@ -79,18 +79,18 @@ def fit(
       a light pass at lower resolution. With neither mask nor scene nor canvas, the light is a disc
       on a veil behind occluders that are estimated from the target, see `godfit.blind`.
     - `scene`: in place of a mask, the scene (or its file) that the mask is drawn from. Its light is
-      where the search starts; shader, samples and the like may stand in it.
+      where the search starts. It may also have shader, samples and other settings.
     - `canvas`: in place of a mask, what is drawn in the plane: a `godfit.flatland.Canvas`, an image
       with alpha, or a scene of shapes.
     - `model`: `"mitchell"`, the screen-space sum; `"hoffman-preetham"`, daylight behind occluders:
-      the mask is then 1 where the sky is seen and 0 where something hides it; `"flatland"`, light
-      in the plane of a canvas. By default the last where there is a canvas, and else the first.
-    - `free`: what of the scene is fitted beside the scattering, as in `"light.position"`,
-      `"object[0].rotation"`; the light on the screen is then the scene's. Without, the mask is
-      drawn once, with or without anti-aliasing, whichever the picture agrees with.
+      the mask is then 1 where the sky is visible and 0 elsewhere; `"flatland"`, light in the plane
+      of a canvas. By default the last where there is a canvas, and else the first.
+    - `free`: quantities of the scene that are fitted beside the scattering, as in
+      `"light.position"`, `"object[0].rotation"`; the light on the screen is then the scene's.
+      Without, the mask is drawn once, with or without anti-aliasing, whichever the target supports.
     - `background`: the ordinary pass that the light is laid on, as large as the target.
-    - `occluder`: without a mask, (h, w), what stands in the way beside what is read off the target:
-      wherever it is not black.
+    - `occluder`: without a mask, (h, w), further objects in front of the light, beside those that
+      are estimated from the target: wherever it is not black.
     - `bright_pass`: without a mask, whether the light is all that is bright in the picture, as in a
       photograph, see `godfit.blind.photograph`.
     - `shader`, `samples`: a name in `godfit.scattering.taps.CONVENTIONS`, by default the scene's or
@@ -99,19 +99,19 @@ def fit(
     - `lights`: how many lights are summed; they start in order from left to right.
     - `pass_scale`: the size of the light pass against the mask's, at most 1.
     - `fov`, `distance`: of Hoffman-Preetham without a scene: the vertical field of view in degrees
-      and how far what is seen lies, a number or (h, w), in metres or in units that `scale` makes
-      metres of. With a scene, `distance` is that of the sky.
+      and the distance of visible surfaces, a number or (h, w), in metres or in units that `scale`
+      converts to metres. With a scene, `distance` is that of the sky.
     - `fix`: parameters held, at a value or (None) at the start or the shader's default.
     - `start`: parameters to start from. None is needed.
     - `valid`: (h, w), False where the target is to be ignored.
     - `transfer`: `"none"` or `"srgb"`, how the target (and the background) were encoded.
-    - `channels`: 3 counts every channel of a grey picture, which costs time and adds no knowledge,
+    - `channels`: 3 counts every channel of a grey picture. That costs time and adds no information,
       but makes likelihoods comparable with those of models that are never grey.
-    - `inquire`: where more than noise is left, whether to try other starts, to undo what the target
-      went through (a JPEG's compression, a light pass stored smaller) and to ask what may be
-      wrong. Fits that are only compared with each other can do without.
-    - `max_values`: the most pixels, times channels, that decide; of larger pictures, rows drawn at
-      random.
+    - `inquire`: where the residual is not noise, whether to try other starts, to correct the bias
+      of the target's processing (a JPEG's compression, a light pass stored smaller) and to
+      diagnose the model. Fits that are only compared with each other do not need it.
+    - `max_values`: the most values, pixels times channels, that are fitted; of larger pictures,
+      rows drawn at random are used.
     - `seed`: of the choice of pixels.
     - `progress`: is called with a line of text as the fit goes on.
 
@@ -177,22 +177,22 @@ def _fit(request: Request) -> FitResult:
 
 
 def _fit_bare(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image]]:
-    """The fit of a picture that comes with nothing, notes, and the images by role."""
+    """The fit of a bare picture, notes, and the images by role."""
     settings = request.settings
     images = {"target": read_source(request.target, request.transfer)}
     shading = mitchell_template(settings.get("shader", "mitchell"), settings.get("samples"), 1)
-    how = (
+    options = (
         settings.get("pass_scale"), request.fix or {}, request.start or {}, request.seed,
         request.report,
     )  # fmt: skip
     if request.bright_pass:
-        found = photograph.found_in(images["target"], shading, request.valid, *how)
+        found = photograph.found_in(images["target"], shading, request.valid, *options)
         return found, (), images
     blocked = None
     if request.occluder is not None:
         images["occluder"] = read_source(request.occluder, "none")
         blocked = occluder_mask(images["occluder"], images["target"])
-    found, notes = unaided.found_in(images["target"], shading, request.valid, blocked, *how)
+    found, notes = unaided.found_in(images["target"], shading, request.valid, blocked, *options)
     return found, notes, images
 
 
@@ -208,7 +208,7 @@ class Posed(NamedTuple):
 
 
 def _pose(request: Request) -> Posed:
-    """From what was asked to the problem to be solved. Raises InputError for images that do not go
+    """The problem of a request, ready to be solved. Raises InputError for images that do not fit
     together."""
     settings, scene, notes = request.settings, request.scene, ()
     images = {"target": read_source(request.target, request.transfer)}
@@ -243,7 +243,7 @@ def _pose(request: Request) -> Posed:
             images["target"], images["mask"], images.get("background"), request.valid, pass_scale,
             request.channels or model.channels,
         )  # fmt: skip
-    images = {role: dataclasses.replace(im, values=NOTHING) for role, im in images.items()}
+    images = {role: dataclasses.replace(im, values=NO_VALUES) for role, im in images.items()}
     given, held = given_and_held(model, request.fix or {}, start)
     free = np.isnan(held) & model.used
     assert scene is None or isinstance(scene, Scene)
@@ -251,8 +251,8 @@ def _pose(request: Request) -> Posed:
 
 
 def _mask_of(scene: Scene, model: AbstractModel, moves: bool) -> np.ndarray:
-    """The mask that the model reads of a scene, anti-aliased where the scene says so, where it
-    ``moves``, and where the model averages it anyway."""
+    """The mask that the model reads of a scene. It is anti-aliased where the scene has it so, where
+    the scene ``moves``, and where the model averages the mask anyway."""
     if model.mask_is_sky:
         return drawn_mask(as_sky_mask(scene), scene.antialias is not False)
     return drawn_mask(scene, bool(scene.antialias) or moves)
@@ -261,7 +261,7 @@ def _mask_of(scene: Scene, model: AbstractModel, moves: bool) -> np.ndarray:
 def _concluded(
     found: Found, notes: tuple[str, ...], images: dict[str, Image], clock: Clock
 ) -> FitResult:
-    """The result, with what the images' files say of themselves."""
+    """The result, with the notes of the images' files."""
     notes += tuple(f"{role}: {note}" for role, im in images.items() for note in im.notes)
     files = {role: {"path": im.path, "sha256": im.sha256} for role, im in images.items()}
     return verdict(found, notes, files, clock.read())

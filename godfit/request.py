@@ -1,4 +1,4 @@
-"""What was asked of a fit, checked: every option in one frozen record."""
+"""A checked request for a fit: every option in one frozen record."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from godfit.scenes.scene import Scene, read_scene
 from godfit.scenes.view import in_single_precision
 
 MODELS = (Mitchell.name, HoffmanPreetham.name, Flatland.name)
+"""Names of the models that can be fitted."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -55,7 +56,7 @@ class Request:
 
     @property
     def bare(self) -> bool:
-        """Whether the picture comes with nothing that says what the light pass reads."""
+        """Whether the picture comes without mask, scene and canvas."""
         return self.mask is None and self.scene is None and self.canvas is None
 
     @property
@@ -71,12 +72,13 @@ class Request:
         return dict(scene) | {name: value for name, value in given.items() if value is not None}
 
     def report(self, text: str) -> None:
-        """Say that a stage begins."""
+        """Report that a stage begins."""
         if self.progress is not None:
             self.progress(text)
 
     def checked(self) -> Request:
-        """The request, with its scene loaded. Raises InputError for what does not go together."""
+        """The request, with its scene loaded. Raises InputError for options that exclude each
+        other."""
         check_model(self.kind, self.free, self.shader, self.lights, self.fov, self.distance)
         if self.kind == Flatland.name:
             self._check_plane()
@@ -96,7 +98,7 @@ class Request:
         return dataclasses.replace(self, scene=in_single_precision(scene))
 
     def _check_bare(self) -> None:
-        """Raise InputError for what a fit without mask and scene does not do."""
+        """Raise InputError for options that a fit without mask and scene does not have."""
         if self.kind != Mitchell.name:
             raise InputError(
                 f"mask: expected --mask or --scene with the model {self.kind}, got neither"
@@ -111,7 +113,7 @@ class Request:
             raise InputError("occluder: expected none with --bright-pass, got one; give either")
 
     def _check_plane(self) -> None:
-        """Raise InputError for what does not go with the light in the plane."""
+        """Raise InputError for options that the light in the plane does not have."""
         name = Flatland.name
         if self.canvas is None:
             raise InputError(f"canvas: expected one with the model {name}, got none; give one")
@@ -130,11 +132,11 @@ def check_model(
     fov: float | None,
     distance: float | np.ndarray | None,
 ) -> None:
-    """Raise InputError for what does not go together."""
+    """Raise InputError for a model that does not exist, and for options that it does not have."""
     if model not in MODELS:
-        near = difflib.get_close_matches(model, MODELS, n=1, cutoff=0.0)[0]
+        closest = difflib.get_close_matches(model, MODELS, n=1, cutoff=0.0)[0]
         raise InputError(
-            f"model: expected one of {', '.join(MODELS)}, got '{model}'; did you mean '{near}'?"
+            f"model: expected one of {', '.join(MODELS)}, got '{model}'; did you mean '{closest}'?"
         )
     if model == Mitchell.name:
         for name, value in (("fov", fov), ("distance", distance)):
@@ -151,7 +153,11 @@ def check_model(
         return
     if fov is not None and not 0 < fov < 180:
         raise InputError(f"fov: expected degrees above 0 and below 180, got {fov:g}")
-    away = np.asarray(1.0 if distance is None else distance)
-    if away.ndim not in (0, 2) or not ((away > 0) & (away < np.inf)).all():
-        got = f"{away:g}" if away.ndim == 0 else f"an array {away.shape} with others in it"
+    distances = np.asarray(1.0 if distance is None else distance)
+    if distances.ndim not in (0, 2) or not ((distances > 0) & (distances < np.inf)).all():
+        got = (
+            f"{distances:g}"
+            if distances.ndim == 0
+            else f"an array {distances.shape} with others in it"
+        )
         raise InputError(f"distance: expected a finite number above 0 or (h, w) of them, got {got}")

@@ -7,7 +7,7 @@ import godfit
 from godfit.inference.information import undetermined
 from godfit.io.image import Image
 from godfit.search import multigrid
-from godfit.search.screening import _in_order, places_for
+from godfit.search.screening import _in_order, light_places
 from tests.support import random_targets
 from tests.support.known_truth import SAMPLES, SIZE, TRUTH, errors, fit, picture
 
@@ -33,7 +33,7 @@ def test_lights_are_in_order_but_for_those_that_are_given(told):
     """Those given are where they were given, the others go from left to right."""
     lattice = np.array([[0.9, 0.2], [0.5, 0.5], [0.1, 0.7]], np.float32)
     given = {f"light{i + 1 if i else ''}_{c}": 0.3 + 0.1 * i for i in told for c in "xy"}
-    places, found = places_for(lattice, given, 3)
+    places, found = light_places(lattice, given, 3)
     assert found == told
     group = np.arange(len(places))[:3]
     at = places[_in_order(group, places, found)]

@@ -5,5 +5,5 @@ Nothing here imports JAX before a command runs, so that help and usage errors co
 
 import time
 
-# Before all other imports, which the user waits for as well.
 STARTED = time.perf_counter()
+"""Time at which the program started, before the other imports, which the user waits for as well."""

@@ -14,7 +14,7 @@ from godfit.commands.study import (
     command_line,
     folder_for,
     prepare,
-    say,
+    print_result,
     working,
     written,
 )
@@ -25,14 +25,14 @@ ACCEPTED = ("shader", "samples", "pass_scale", "transfer", "fix", "start", "igno
 
 
 def fit_frames(targets: tuple[str, ...], every: int, given: Mapping[str, Any], run: Run) -> int:
-    """Fit one shader to all ``targets`` and a light to each; the rest as of one picture."""
+    """Fit one shader to all ``targets`` and a light to each of them; returns the exit status."""
     options = {name: value for name, value in given.items() if value not in (None, (), False, {})}
     for name in options:
         if name not in ACCEPTED:
             option = name.replace("_", "-")
             raise click.UsageError(f"--{option}: expected one picture with it, got several frames")
     folder = folder_for(common_name(targets), run.output)
-    each = frames(targets, every, options.pop("transfer", "none"))
+    images = frames(targets, every, options.pop("transfer", "none"))
     ignore, valid = options.pop("ignore", ()), None
     if ignore:
         valid = valid_pixels(ignore, next(iter(frames(targets, every))).values.shape[:2])
@@ -40,11 +40,11 @@ def fit_frames(targets: tuple[str, ...], every: int, given: Mapping[str, Any], r
         from godfit.studies.clip import fit_clip
 
         prepare(options, run, progress)
-        result = fit_clip(each, valid=valid, seed=run.seed, progress=progress, **options)
+        result = fit_clip(images, valid=valid, seed=run.seed, progress=progress, **options)
         progress("drawing")
         result.save(folder, command_line())
     notes = [*result.notes, *result.undetermined, *result.warnings]
-    say(result, notes, run, written(folder, "fit.json", "fit.png"))
+    print_result(result, notes, run, written(folder, "fit.json", "fit.png"))
     return 0 if result.converged else NOT_CONVERGED
 
 

@@ -1,4 +1,4 @@
-"""``godfit compare``: which model a picture deserves."""
+"""``godfit compare``: several models fitted to one picture."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from typing import Any
 
 import click
 
-from godfit.commands.options import PICTURE, RESULT, Run, pair
+from godfit.commands.options import PICTURE, RESULT, Run, light_position
 from godfit.commands.study import (
     NOT_CONVERGED,
     command_line,
     opened,
     prepare,
-    say,
+    print_result,
     working,
     written,
 )
@@ -30,7 +30,7 @@ def compare(target: str, light: str | None, run: Run, **given: Any) -> int:
     there. With --canvas the light in the plane is fitted as well. The table goes to stdout,
     compare.json and compare.png to x.godfit/. The exit status is 3 if no model converged.
     """
-    place = None if light is None else pair(light)
+    place = None if light is None else light_position(light)
     study = opened(target, given, run.output)
     study.options.pop("model", None)
     with working(run) as progress:
@@ -44,5 +44,5 @@ def compare(target: str, light: str | None, run: Run, **given: Any) -> int:
         progress("drawing")
         found.save(study.folder, command_line())
     notes = [note for row in found.rows for note in row.result.notes]
-    say(found, notes, run, written(study.folder, "compare.json", "compare.png"))
+    print_result(found, notes, run, written(study.folder, "compare.json", "compare.png"))
     return 0 if any(row.result.converged for row in found.rows) else NOT_CONVERGED

@@ -16,7 +16,7 @@ from godfit.commands.study import (
     command_line,
     opened,
     prepare,
-    say,
+    print_result,
     working,
     written,
 )
@@ -119,14 +119,14 @@ def fit(
         progress("drawing")
         result.save(study.folder, command_line())
     notes = [*result.notes, *result.undetermined, *result.warnings]
-    say(result, notes, run, written(study.folder, "fit.json", "fit.png", "render.png"))
+    print_result(result, notes, run, written(study.folder, "fit.json", "fit.png", "render.png"))
     return 0 if result.converged else NOT_CONVERGED
 
 
 def with_intervals(
     result: FitResult, names: tuple[str, ...], posterior: bool, seed: int, progress: Progress
 ) -> FitResult:
-    """The result with profile intervals of ``names`` and, if wanted, those of the posterior."""
+    """The result with profile intervals of ``names`` and, if ``posterior``, posterior intervals."""
     from godfit.studies import posterior as sampling
     from godfit.studies.profile_likelihood import check, profile
 
@@ -142,7 +142,8 @@ def with_intervals(
 
 
 def keep_one_source(options: dict[str, Any], given: Mapping[str, Any]) -> None:
-    """Keep either a canvas or a mask and scene: what was given here, or what the model needs."""
+    """Keep either a canvas or a mask and scene: those given on the command line, or those that the
+    model needs."""
     if "canvas" not in options:
         return
     instead = given["mask"] is not None or given["scene"] is not None

@@ -1,4 +1,4 @@
-"""``godfit mask``: a scene's occlusion mask, or the one that a finished picture seems to have."""
+"""``godfit mask``: a scene's occlusion mask, or the mask estimated from a finished picture."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ def mask(scene: str | None, target: str | None, hard: bool, run: Run, **options:
         got = "neither" if scene is None else "both"
         raise click.UsageError(f"expected SCENE.toml or --from-image TARGET, got {got}")
     if scene is not None:
-        values, notes = of_scene(scene, hard)
+        values, notes = mask_of_scene(scene, hard)
     else:
         assert target is not None
-        values, notes = of_picture(target, run, **options)
+        values, notes = mask_of_picture(target, run, **options)
     assert run.output is not None
     write_image(run.output, values)
     if not run.quiet:
@@ -60,7 +60,8 @@ def mask(scene: str | None, target: str | None, hard: bool, run: Run, **options:
     return 0
 
 
-def of_scene(scene: str, hard: bool) -> tuple[np.ndarray, tuple[str, ...]]:
+def mask_of_scene(scene: str, hard: bool) -> tuple[np.ndarray, tuple[str, ...]]:
+    """(h, w) or (h, w, 3) the mask of a scene's file, and notes on the scene."""
     from godfit.scenes.scene import read_scene
     from godfit.scenes.view import drawn_mask
 
@@ -71,9 +72,10 @@ def of_scene(scene: str, hard: bool) -> tuple[np.ndarray, tuple[str, ...]]:
         return drawn_mask(stage, not hard), stage.notes
 
 
-def of_picture(
+def mask_of_picture(
     target: str, run: Run, *, bright_pass: bool | None, ignore: tuple[str, ...], **options: Any
 ) -> tuple[np.ndarray, tuple[str, ...]]:
+    """(h, w) or (h, w, 3) the mask that a fit of the picture estimates, and notes on the fit."""
     from godfit.io.image import read_image
 
     image = read_image(target)
@@ -81,6 +83,8 @@ def of_picture(
     with working(run) as progress:
         from godfit.fitting import fit
 
-        found = fit(image, bright_pass=bool(bright_pass), valid=valid, progress=progress, **options)
-    doubts = () if found.converged else (found.message,)
-    return found.mask, (*found.notes, *found.warnings, *doubts)
+        result = fit(
+            image, bright_pass=bool(bright_pass), valid=valid, progress=progress, **options
+        )
+    objections = () if result.converged else (result.message,)
+    return result.mask, (*result.notes, *result.warnings, *objections)

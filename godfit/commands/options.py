@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     import numpy as np
 
 
-def together(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Several decorators as one, in the order in which the help shows them."""
+def combined(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Several decorators as one, in the order of the help."""
 
     def decorate(command: Any) -> Any:
         for option in reversed(options):
@@ -26,7 +26,7 @@ def together(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return decorate
 
 
-SHADER = together(
+SHADER = combined(
     click.option("--shader", help="Shader convention; see `godfit shaders`. [default: mitchell]"),
     click.option("--samples", type=int, help="Samples a ray. [default: the shader's own]"),
 )
@@ -36,8 +36,7 @@ BRIGHT_PASS = click.option(
     default=None,
     help="Without a mask: the light is all that is bright in the picture, as in a photograph.",
 )
-# What a picture is made of.
-PICTURE = together(
+PICTURE = combined(
     click.option("--mask", help="Occlusion mask that the scattering pass reads."),
     click.option("--scene", help="Scene file: mask, camera, distances and light."),
     click.option("--canvas", help="Flatland: the canvas, an RGBA image or a .toml of shapes."),
@@ -62,8 +61,8 @@ PICTURE = together(
 
 
 class Run(NamedTuple):
-    """How a command runs and what becomes of its result: the folder (None for the default one),
-    whether stdout gets JSON, the seed of the choice of pixels, and what is said on stderr."""
+    """How a command runs and where its result goes: the folder (None for the default one), whether
+    stdout gets JSON, the seed of the choice of pixels, and what is printed on stderr."""
 
     output: str | None = None
     as_json: bool = False
@@ -81,7 +80,7 @@ def with_run(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
             given = {name: values.pop(name) for name in Run._fields if name in values}
             return command(run=Run(**given), **values)
 
-        return together(*options)(collected)
+        return combined(*options)(collected)
 
     return decorate
 
@@ -103,7 +102,7 @@ RESULT = with_run(
 def assignments(
     context: click.Context, option: click.Parameter, values: tuple[str, ...]
 ) -> dict[str, float | None]:
-    """``NAME=VALUE`` -> a dictionary; for ``--fix`` a ``NAME`` alone is held where it is."""
+    """``NAME=VALUE`` texts as a dictionary; for ``--fix`` a ``NAME`` alone is held at its start."""
     found: dict[str, float | None] = {}
     for text in values:
         name, sign, value = text.partition("=")
@@ -148,14 +147,14 @@ def valid_pixels(ignore: tuple[str, ...], size: tuple[int, int]) -> np.ndarray |
     return valid
 
 
-def pair(text: str) -> tuple[float, float]:
-    """``U,V`` -> two numbers."""
+def light_position(text: str) -> tuple[float, float]:
+    """``U,V`` as two numbers, a position on the screen."""
     u, v = _numbers(text, "U,V", "--light")
     return u, v
 
 
-def three(text: str | None, option: str) -> tuple[float, ...] | None:
-    """``R,G,B`` -> three numbers."""
+def colour(text: str | None, option: str) -> tuple[float, ...] | None:
+    """``R,G,B`` as three numbers; None stays None."""
     return None if text is None else _numbers(text, "R,G,B", option)
 
 
@@ -169,8 +168,8 @@ def _numbers(text: str, form: str, option: str) -> tuple[float, ...]:
     return numbers
 
 
-def whole(text: str) -> tuple[int, int]:
-    """``WxH`` -> (h, w)."""
+def image_size(text: str) -> tuple[int, int]:
+    """``WxH`` as (h, w) in pixels."""
     parts = text.lower().split("x")
     if len(parts) != 2 or not all(p.isdigit() and int(p) > 0 for p in parts):
         raise click.BadParameter(f"expected WxH in pixels, got '{text}'", param_hint="--size")

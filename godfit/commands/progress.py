@@ -1,4 +1,4 @@
-"""What a command says on stderr while it works."""
+"""Progress and warnings of a command, on stderr."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ from typing import Any
 
 import click
 
+SPINNER_DELAY = 1.0
+"""Seconds after which a spinner is shown: shorter work needs none."""
+
 
 class Progress:
-    """Stages of the work on stderr: a spinner once a second has passed, on a terminal and unless
-    asked to be quiet; with ``verbose`` a line for each, wherever stderr goes."""
+    """Stages of the work on stderr. On a terminal they are a spinner, once a second has passed,
+    unless ``quiet``. With ``verbose`` each is a line, wherever stderr goes."""
 
-    # Python drops an interrupt that comes while it runs a finaliser: the next stage asks once more.
+    # Python drops an interrupt that comes while it runs a finaliser: the next stage checks again.
     interrupted = False
 
     def __init__(self, quiet: bool, verbose: bool) -> None:
@@ -32,7 +35,7 @@ class Progress:
             click.echo(f"godfit: {elapsed:6.2f} s  {stage}", err=True)
         elif self.spins and self.status is not None:
             self.status.update(stage)
-        elif self.spins and elapsed > 1:
+        elif self.spins and elapsed > SPINNER_DELAY:
             self.status = self.console.status(stage)
             self.status.start()
 
@@ -45,4 +48,5 @@ class Progress:
 
 
 def warn(text: str) -> None:
+    """Print a warning, one line."""
     click.echo(f"godfit: warning: {text}", err=True)

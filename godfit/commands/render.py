@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from godfit.commands.options import SHADER, pair, three, whole
+from godfit.commands.options import SHADER, colour, image_size, light_position
 from godfit.errors import InputError
 
 if TYPE_CHECKING:
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
     from godfit.scenes.scene import Scene
 
-PLANE = (
+FLATLAND_OPTIONS = (
     "rays", "method", "jitter", "grain", "seed", "published", "sun", "sky", "sun_angle",
     "sun_width",
 )  # fmt: skip
 """Options of the light in the plane alone."""
-VALUES = ("exposure", "decay", "density", "weight", "e_sun", "scale", "turbidity", "g")
+PARAMETER_OPTIONS = ("exposure", "decay", "density", "weight", "e_sun", "scale", "turbidity", "g")
 """Options that are parameters of a model."""
 
 
@@ -95,19 +95,19 @@ def render(mask: str, output: str, transfer: str, bits: str, **options: Any) -> 
         raise click.BadParameter(
             f"expected a number of levels, 0 or more, got {tolerance:g}", param_hint="--tolerance"
         )
-    options["light"] = [pair(text) for text in options["light"]]
+    options["light"] = [light_position(text) for text in options["light"]]
     for name in ("sun", "sky"):
-        options[name] = three(options[name], f"--{name}")
+        options[name] = colour(options[name], f"--{name}")
     # A flag that is not set was not given.
     options |= {name: options[name] or None for name in ("jitter", "published")}
     recorded = read_params(options["params"]) if options["params"] else {}
     if (options["model"] or recorded.get("model")) == "flatland":
         from godfit.flatland.inputs import rendered
 
-        names = (*PLANE, "steps", "exposure")
-        image = rendered(mask, recorded | given(options, names))
+        names = (*FLATLAND_OPTIONS, "steps", "exposure")
+        image = rendered(mask, recorded | given_options(options, names))
     else:
-        for name in given(options, PLANE):
+        for name in given_options(options, FLATLAND_OPTIONS):
             raise click.UsageError(f"--{name.replace('_', '-')}: expected --model flatland with it")
         image, transfer = on_screen(mask, recorded, transfer, options)
     write_image(output, image, transfer=transfer, bits=int(bits))
@@ -136,7 +136,7 @@ def on_screen(
     if kind != "volume":
         count = 1 if kind == "mitchell" else max(len(lights), 1)
         check_model(kind, (), options["shader"], count, options["fov"], options["distance"])
-    settings |= given(options, ("shader", "samples"))
+    settings |= given_options(options, ("shader", "samples"))
     background = None
     if options["background"] is not None:
         background = read_image(options["background"], transfer=transfer).values
@@ -146,8 +146,8 @@ def on_screen(
 
 
 class Picture(NamedTuple):
-    """What a picture is rendered from: the file of the mask or the scene, the ``scene`` if it is
-    one, the ordinary pass, settings, and lights (u, v)."""
+    """The inputs of a rendering: the file of the mask or the scene, the ``scene`` if it is one, the
+    ordinary pass, settings, and lights (u, v)."""
 
     mask: str
     scene: Scene | None
@@ -167,8 +167,8 @@ class Picture(NamedTuple):
 
 
 def mitchell(picture: Picture, options: dict[str, Any]) -> np.ndarray:
-    """Mitchell's sum, its light pass off by ``tolerance`` levels at most. All lights are summed by
-    one method, and their errors add up."""
+    """(h, w) or (h, w, 3) Mitchell's sum, whose light pass has an error of at most ``tolerance``
+    levels. All lights are summed by one method, and their errors add up."""
     import equinox as eqx
     import numpy as np
 
@@ -181,14 +181,14 @@ def mitchell(picture: Picture, options: dict[str, Any]) -> np.ndarray:
     from godfit.scenes.view import drawn_mask
 
     scene, background = picture.scene, picture.background
-    model = mitchell_at(picture.settings, given(options, VALUES), picture.lights)
+    model = mitchell_at(picture.settings, given_options(options, PARAMETER_OPTIONS), picture.lights)
     if scene is None:
         occlusion = read_image(picture.mask).values
     else:
         occlusion = drawn_mask(scene, scene.antialias is not False)
     size = (occlusion if background is None else background).shape[:2]
     if options["size"]:
-        size = whole(options["size"])
+        size = image_size(options["size"])
     picture.check_background(size)
     occlusion = shrink_mask(occlusion, picture.pass_scale)
     if not options["tolerance"]:
@@ -199,8 +199,8 @@ def mitchell(picture: Picture, options: dict[str, Any]) -> np.ndarray:
 
 
 def daylight(picture: Picture, options: dict[str, Any]) -> np.ndarray:
-    """Hoffman and Preetham's daylight, past a mask that is 1 where the sky is seen; or, for the
-    model ``volume``, the same air, marched through a scene."""
+    """(h, w, 3) Hoffman and Preetham's daylight, with a mask that is 1 where the sky is visible;
+    or, for the model ``volume``, the same air, marched through a scene."""
     import numpy as np
 
     from godfit.inference.observation import render
@@ -213,8 +213,8 @@ def daylight(picture: Picture, options: dict[str, Any]) -> np.ndarray:
     if scene is not None:
         # A fit records one typical distance; the scene has them all.
         settings.pop("distance", None)
-    settings |= given(options, ("fov", "distance", "phase"))
-    model = daylight_at(settings, given(options, VALUES), picture.lights, scene)
+    settings |= given_options(options, ("fov", "distance", "phase"))
+    model = daylight_at(settings, given_options(options, PARAMETER_OPTIONS), picture.lights, scene)
     if (options["model"] or settings.get("model")) == "volume":
         if scene is None:
             raise InputError("volume: expected a SCENE.toml, got an image; it has no depth")
@@ -229,6 +229,6 @@ def daylight(picture: Picture, options: dict[str, Any]) -> np.ndarray:
     return render(model, sky, picture.background, (sky.shape[0], sky.shape[1]))
 
 
-def given(options: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
-    """Those of ``names`` that were given."""
+def given_options(options: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
+    """The options among ``names`` that were given, by name."""
     return {name: options[name] for name in names if options[name] is not None}

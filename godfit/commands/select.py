@@ -1,4 +1,4 @@
-"""``godfit select``: how much of a model a picture needs."""
+"""``godfit select``: the smallest model that explains a picture."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from typing import Any
 
 import click
 
-from godfit.commands.options import PICTURE, RESULT, Run, pair
+from godfit.commands.options import PICTURE, RESULT, Run, light_position
 from godfit.commands.study import (
     NOT_CONVERGED,
     command_line,
     opened,
     prepare,
-    say,
+    print_result,
     working,
     written,
 )
@@ -33,7 +33,7 @@ def select(target: str, light: str | None, run: Run, **given: Any) -> int:
     Rungs that do not fit the light hold it at --light. The table goes to stdout, select.json and
     select.png to x.godfit/. The exit status is 3 if no rung leaves only noise.
     """
-    place = None if light is None else pair(light)
+    place = None if light is None else light_position(light)
     study = opened(target, given, run.output)
     for name in ("model", "canvas", "rays"):
         study.options.pop(name, None)
@@ -47,5 +47,5 @@ def select(target: str, light: str | None, run: Run, **given: Any) -> int:
         )  # fmt: skip
         progress("drawing")
         found.save(study.folder, command_line())
-    say(found, found.base.notes, run, written(study.folder, "select.json", "select.png"))
+    print_result(found, found.base.notes, run, written(study.folder, "select.json", "select.png"))
     return 0 if found.recommended.like_noise else NOT_CONVERGED

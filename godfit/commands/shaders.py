@@ -1,4 +1,4 @@
-"""``godfit shaders``: the conventions that are known."""
+"""``godfit shaders``: a list of the known conventions."""
 
 from __future__ import annotations
 

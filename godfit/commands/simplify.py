@@ -1,4 +1,4 @@
-"""``godfit simplify``: the fewest samples that show a fitted picture."""
+"""``godfit simplify``: the fewest samples that reproduce a fitted picture."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from godfit.commands.options import JSON, QUIET, VERBOSE, Run, with_run
-from godfit.commands.study import say, working
+from godfit.commands.study import print_result, working
 
 
 @click.command()
@@ -44,5 +44,5 @@ def simplify(fit_json: str, tolerance: float, by: str, run: Run, **files: Any) -
             fitted.model, fitted.mask, tolerance, background=fitted.background, size=fitted.size,
             transfer=fitted.transfer, by=by, progress=progress,
         )  # fmt: skip
-    say(found, fitted.notes, run)
+    print_result(found, fitted.notes, run)
     return 0

@@ -1,4 +1,4 @@
-"""What the commands that fit have in common: from a target's files to a folder of results."""
+"""Steps that all fitting commands share: from a target's files to a folder of results."""
 
 from __future__ import annotations
 
@@ -24,12 +24,16 @@ if TYPE_CHECKING:
     from godfit.io.image import Image
 
 NOT_CONVERGED = 3
-# Options for which there are other programs.
-SETTINGS = {"model", "shader", "samples", "lights", "pass_scale", "transfer", "bright_pass"}
+"""Exit status of a fit that did not converge."""
+PROGRAM_SETTINGS = {
+    "model", "shader", "samples", "lights", "pass_scale", "transfer", "bright_pass",
+}  # fmt: skip
+"""Options that change which programs are compiled."""
 
 
 class Study(NamedTuple):
-    """A target, (h, w) which of its pixels count, the options of its fit, and the result's folder."""
+    """A target, (h, w) which of its pixels are fitted, the options of its fit, and the result's
+    folder."""
 
     image: Image
     valid: np.ndarray | None
@@ -38,7 +42,8 @@ class Study(NamedTuple):
 
 
 def folder_for(target: str, output: str | None) -> Path:
-    """Where the result goes. Raises InputError now rather than after the work is done."""
+    """The folder of the result. It is checked before the work: raises InputError if it cannot be
+    written."""
     folder = Path(output) if output else Path(target).with_suffix(".godfit")
     near = folder
     while not near.exists() and near != near.parent:
@@ -55,19 +60,19 @@ def folder_for(target: str, output: str | None) -> Path:
 def opened(
     target: str, given: Mapping[str, Any], output: str | None, *, bare: bool = False
 ) -> Study:
-    """The target with its options: those of the file beside it, and ``given`` ones in their place.
-    A ``bare`` one needs neither a mask nor a scene."""
+    """The target with its options: those of the file beside it, overridden by ``given`` ones. With
+    ``bare`` it needs neither a mask nor a scene."""
     from godfit.io.image import read_image
     from godfit.io.sidecar import read_sidecar
 
     options = read_sidecar(target) | {k: v for k, v in given.items() if v is not None}
     ignore = options.pop("ignore")
     folder = folder_for(target, output)
-    # The target first: a missing one should not be reported as a missing mask.
+    # The target is read first: a missing one should not be reported as a missing mask.
     image = read_image(target, transfer=options.get("transfer", "none"))
     for one, other in (("mask", "scene"), ("scene", "mask")):
         if given[one] is not None and given[other] is None:
-            # What is said here replaces what stands beside the target.
+            # An option of the command line replaces the one in the file beside the target.
             options.pop(other, None)
     if "mask" in options and "scene" in options:
         raise click.UsageError("expected --mask or --scene, got both; a scene draws its own mask")
@@ -100,42 +105,42 @@ def working(run: Run) -> Iterator[Progress]:
 def prepare(
     options: dict[str, Any], run: Run, progress: Progress, size: tuple[int, ...] = ()
 ) -> None:
-    """Put the scene itself in the place of its file, and say what is assumed. ``size`` is the
-    target's: another one needs other programs."""
+    """Replace the scene's file by the scene, and warn of defaults that are assumed. ``size`` is
+    the target's: each size has programs of its own."""
     if "scene" in options:
         from godfit.scenes.scene import read_scene
 
         progress("loading meshes")
         options["scene"] = read_scene(options["scene"])
     if options.get("model", "mitchell") == "mitchell" and not run.quiet:
-        say_assumed(options)
-    # In a thread: what XLA compiles or runs in the meantime needs the interpreter little.
+        warn_of_defaults(options)
+    # In a thread: XLA holds the interpreter's lock only a little of the time.
     kernels = options.get("model", "mitchell") == "mitchell"
-    settings = {name: options[name] for name in sorted(options) if name in SETTINGS}
-    occasion = repr((sys.argv[1:2], size, settings))
-    threading.Thread(target=_load_ahead, args=(kernels, occasion), daemon=True).start()
+    settings = {name: options[name] for name in sorted(options) if name in PROGRAM_SETTINGS}
+    run_key = repr((sys.argv[1:2], size, settings))
+    threading.Thread(target=_load_ahead, args=(kernels, run_key), daemon=True).start()
 
 
-def say_assumed(options: Mapping[str, Any]) -> None:
-    """Warn of a shader or a number of samples that nobody gave."""
+def warn_of_defaults(options: Mapping[str, Any]) -> None:
+    """Warn of a shader or a number of samples that was not given."""
     from godfit.scattering.taps import convention
 
-    said = {**options["scene"].settings, **options} if "scene" in options else options
-    if "shader" not in said:
+    settings = {**options["scene"].settings, **options} if "scene" in options else options
+    if "shader" not in settings:
         warn("no shader given: 'mitchell' assumed; see `godfit shaders`")
-    shader = convention(said.get("shader", "mitchell"))
-    if "samples" not in said and "samples" not in shader.defaults:
+    shader = convention(settings.get("shader", "mitchell"))
+    if "samples" not in settings and "samples" not in shader.defaults:
         warn(f"{shader.name} publishes no default: {shader.samples} samples assumed")
 
 
-def _load_ahead(kernels: bool, occasion: str) -> None:
+def _load_ahead(kernels: bool, run_key: str) -> None:
     from godfit.runtime.program_cache import preload_programs
 
     if kernels:
         from godfit.scattering.radial.exact import compile_fastest
 
         compile_fastest()
-    preload_programs(occasion)
+    preload_programs(run_key)
     import matplotlib.backends.backend_agg
     import matplotlib.figure  # noqa: F401
 
@@ -146,13 +151,13 @@ def command_line() -> str:
 
 @runtime_checkable
 class Result(Protocol):
-    """What every study returns: a table, a record, and files."""
+    """The result of every study: a table, a record, and files."""
 
     def summary(self) -> str: ...
     def record(self, command: str = "") -> dict[str, Any]: ...
 
 
-def say(result: Result, notes: Iterable[str], run: Run, files: str = "") -> None:
+def print_result(result: Result, notes: Iterable[str], run: Run, files: str = "") -> None:
     """Print warnings, and the record, or the summary with the ``files`` that were written."""
     if not run.quiet:
         for note in dict.fromkeys(notes):

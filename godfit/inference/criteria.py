@@ -1,4 +1,4 @@
-"""Akaike's and Schwarz's criteria: which of several models a picture deserves.
+"""Akaike's and Schwarz's criteria, which compare several models of one picture.
 
 Twice the negative log-likelihood, plus 2 (Akaike) or ln(values) (Schwarz) for every parameter that
 the picture determines, the noise among them (Burnham & Anderson, Model Selection and Multimodel
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 CLEAR = 10.0
-"""Difference in a criterion that leaves the lesser model little support (Burnham & Anderson 2.6)."""
+"""Difference in a criterion that leaves the other model little support (Burnham & Anderson 2.6)."""
 
 
 def aic(log_likelihood: float, parameters: int) -> float:

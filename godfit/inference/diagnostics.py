@@ -1,10 +1,10 @@
-"""Why a model cannot be right, read from what it leaves.
+"""Why a model cannot be right: known defects, estimated from the residual.
 
-Every defect that is looked for has a direction: what the residual would gain if the target had that
-defect and the model had not. Of each direction, what a step of the fitted parameters would do as
-well is taken away, and the share of the residual's power that lies along the rest is its evidence
-(a score test: Rao, Proc. Camb. Phil. Soc. 44 (1948), 50). A fit that leaves nothing but noise is
-never asked. JPEG leaves its mark in the target itself, see ``blocks.py``.
+Each possible defect has a direction: the change of the image if the target had that defect and the
+model had not. The part that a step of the fitted parameters explains as well is projected out. The
+share of the residual's power along the rest is the evidence for the defect (a score test: Rao,
+Proc. Camb. Phil. Soc. 44 (1948), 50). A fit whose residual is noise is not diagnosed. The blocks of
+a JPEG are found in the target itself, see ``godfit/io/jpeg.py``.
 """
 
 from __future__ import annotations
@@ -22,21 +22,24 @@ from godfit.io.jpeg import was_jpeg
 from godfit.models.mitchell import Mitchell
 from godfit.scattering.radial.nearest import read_rays
 
-# Pixels that are asked.
-PIXELS = 1 << 12
-# Pixels by which mask and target may be shifted against each other.
-REACH = 4
-# Share of the residual's power that a direction must explain, and that of the best one beside
-# which another is named as well.
-ENOUGH, BESIDE = 0.15, 0.6
-# What a remedy for the transfer must leave of the residual's power.
-REMEDIED = 0.7
-# Side of the copy on which a second light is looked for.
-SMALL = 32
+DIAGNOSED_PIXELS = 1 << 12
+"""Pixels that the directions are evaluated at, at most: they limit the time."""
+LARGEST_SHIFT = 4
+"""Pixels by which mask and target may be shifted against each other: every shift is tried."""
+NAMED_SHARE = 0.15
+"""Share of the residual's power that a defect must explain: chance explains far less."""
+SHARE_OF_BEST = 0.6
+"""Share of the best defect's evidence from which another is named as well."""
+TRANSFER_IMPROVEMENT = 0.7
+"""Residual power under the other transfer, relative to that under the given one, at most."""
+PARAMETERS_SUFFICE = 1e-6
+"""Relative power of a direction below which the parameters explain it: a thousandth of it."""
+SECOND_LIGHT_SIDE = 32
+"""Pixels a side of the copy on which a second light is searched for: every place is tried."""
 
 
 class Suspect(NamedTuple):
-    """A possible defect: the share of the residual it explains, its name, what to tell."""
+    """A possible defect: the share of the residual it explains, its name, the warning."""
 
     share: float
     name: str
@@ -44,38 +47,40 @@ class Suspect(NamedTuple):
 
 
 WORDS = {
-    "transfer": "what is left follows brightness as if the target were gamma-encoded and read as "
+    "transfer": "the residual follows brightness as if a gamma-encoded target had been taken as "
     "linear; try --transfer srgb",
-    "linear": "what is left follows brightness as if the target were linear and read as sRGB; try "
-    "--transfer none",
-    "register": "what is left follows the picture's edges as if mask and target were shifted "
+    "linear": "the residual follows brightness as if a linear target had been decoded as sRGB; "
+    "try --transfer none",
+    "register": "the residual follows the picture's edges as if mask and target were shifted "
     "against each other; check that both come from the same frame and size",
     "moved": "mask and target are shifted against each other: with the mask moved {right} pixels "
     "to the right and {down} down far more is explained; check that both come from the same frame",
     "upsampled": "the target is smoother at edges than the mask allows: its light pass was likely "
     "rendered at {scale} of the size; try --pass-scale {scale}",
-    "convention": "what is left looks like {what}: another shader's convention; see `godfit "
+    "convention": "the residual resembles {what}: the shader has another convention; see `godfit "
     "shaders`",
-    "light": "what is left looks like the rays of a second light near ({u:.2f}, {v:.2f}); try "
+    "light": "the residual resembles the rays of a second light near ({u:.2f}, {v:.2f}); try "
     "--lights 2",
     "background": "where the background is at the top of its scale the target is brighter than "
-    "it can say: the background was clipped; --ignore those pixels",
+    "the clipped background allows; --ignore those pixels",
     "jpeg": "the target has the 8x8 blocks of a JPEG: its errors are correlated, which the quoted "
-    "ones allow for; a lossless copy would say more",
-    "unknown": "what is left of the target has structure that none of the known causes explains",
+    "ones allow for; a lossless copy would give smaller errors",
+    "unknown": "the residual has structure that none of the known causes explains",
 }
 
 
 def diagnose(picture: Picture, model, pixels: np.ndarray, tangent: Tangent) -> list[Suspect]:
-    """What may be wrong, worst first; empty where nothing is found.
+    """Possible defects, the largest share first; empty where nothing is found.
 
     ``pixels`` (n,) are those of the fit, ``tangent`` the model there: levels (n c,), derivatives
-    (p, n c). For a residual that is not white; clipped values are left out.
+    (p, n c). It is meant for a residual that is not white. Clipped values are left out.
     """
     target = picture.levels.reshape(-1, picture.channels)
     drawn = np.arange(len(pixels))
-    if len(drawn) > PIXELS:
-        drawn = np.sort(np.random.default_rng(0).choice(len(drawn), PIXELS, replace=False))
+    if len(drawn) > DIAGNOSED_PIXELS:
+        drawn = np.sort(
+            np.random.default_rng(0).choice(len(drawn), DIAGNOSED_PIXELS, replace=False)
+        )
     at = pixels[drawn]
     c = picture.channels
     prediction = tangent.prediction.reshape(-1, c)
@@ -116,15 +121,15 @@ def diagnose(picture: Picture, model, pixels: np.ndarray, tangent: Tangent) -> l
 
 
 def named(suspects: list[Suspect]) -> list[Suspect]:
-    """Those worth naming: the one that explains most, and what explains nearly as much."""
-    if not suspects or suspects[0].share < ENOUGH:
+    """Those worth naming: the one that explains most, and all that explain nearly as much."""
+    if not suspects or suspects[0].share < NAMED_SHARE:
         return []
-    return [s for s in suspects if s.share >= max(ENOUGH, BESIDE * suspects[0].share)]
+    return [s for s in suspects if s.share >= max(NAMED_SHARE, SHARE_OF_BEST * suspects[0].share)]
 
 
 class Span:
-    """What steps of the parameters explain (rows of ``jacobian``, (p, m)), taken away from
-    ``residual`` (m,)."""
+    """The span of parameter steps (rows of ``jacobian``, (p, m)), projected out of ``residual``
+    (m,)."""
 
     def __init__(self, jacobian: np.ndarray, residual: np.ndarray):
         self.basis = _orthonormal(np.asarray(jacobian, np.float64).T)
@@ -138,15 +143,15 @@ class Span:
         """Share of the residual's power that ``columns`` explain beyond the parameters."""
         raw = np.stack(columns, -1).astype(np.float64)
         rest = self.beyond(raw)
-        # What parameters do as well to a thousandth is not told from them.
+        # A direction that parameters reproduce to a thousandth is no evidence.
         raw_power = (raw**2).sum(0)
-        rest = rest[:, (rest**2).sum(0) > 1e-6 * np.maximum(raw_power, 1e-12)]
+        rest = rest[:, (rest**2).sum(0) > PARAMETERS_SUFFICE * np.maximum(raw_power, 1e-12)]
         if not rest.shape[1] or self.power == 0:
             return 0.0
         return float(((_orthonormal(rest).T @ self.residual) ** 2).sum() / self.power)
 
     def step(self, column: np.ndarray) -> float:
-        """How much of ``column`` (m,) the residual asks for."""
+        """Coefficient of ``column`` (m,) in the residual's least-squares fit."""
         rest = self.beyond(column.astype(np.float64))
         return float(rest @ self.residual / max(float(rest @ rest), 1e-30))
 
@@ -164,8 +169,8 @@ def _register(picture, full, values, span):
     """Picture and mask moved by whole pixels, and the shift that explains most."""
     mask = np.broadcast_to(np.atleast_3d(picture.mask), (*picture.mask.shape[:2], full.shape[2]))
     best = 0.0
-    for down in range(-REACH, REACH + 1):
-        for right in range(-REACH, REACH + 1):
+    for down in range(-LARGEST_SHIFT, LARGEST_SHIFT + 1):
+        for right in range(-LARGEST_SHIFT, LARGEST_SHIFT + 1):
             if down == right == 0:
                 continue
             columns = [values(np.roll(full, (down, right), (0, 1)) - full)]
@@ -176,7 +181,7 @@ def _register(picture, full, values, span):
 
 
 def _upsampled(picture, full, values, span):
-    """The light pass rendered small and read bilinearly, where the model has it at full size."""
+    """The light pass rendered small and enlarged bilinearly, where the model has full size."""
     h, w = picture.size
     if picture.mask.shape[:2] != (h, w):
         return
@@ -187,7 +192,7 @@ def _upsampled(picture, full, values, span):
         large = ndimage.zoom(small, (h / small.shape[0], w / small.shape[1], 1), order=1,
                              mode="nearest", grid_mode=True)  # fmt: skip
         column = values(large - full)
-        # The whole of it is asked for, not a little of its direction.
+        # The coefficient must be near one: the whole change, not a part of its direction.
         if 0.4 < span.step(column) < 2.5:
             words = WORDS["upsampled"].format(scale=1 / factor)
             yield Suspect(span.share([column]), "upsampled", words)
@@ -223,28 +228,28 @@ def _conventions(picture, model, full, values, span):
 
 
 def _transfer(picture, target, prediction, jacobian, residual):
-    """The target decoded: does the span of picture and derivatives hold it better than the target
-    as it is? A share of one less what is left in proportion."""
+    """The other transfer: whether the span of image and derivatives explains the target better when
+    it is decoded the other way. The share is one minus the ratio of the two residual powers."""
     coded = picture.transfer != "none"
     if coded:
-        read = decode(target / LEVELS, "srgb")
+        given = decode(target / LEVELS, "srgb")
         slope = np.gradient(decode(np.linspace(0, 1, 256), "srgb"), 1 / 255)
         chain = np.interp(prediction, np.arange(256), slope)
         here = [jacobian * chain[None], decode(np.clip(prediction, 0, LEVELS) / LEVELS, "srgb")]
         other, name = target / LEVELS, "linear"
     else:
         here = [jacobian, prediction]
-        read, other, name = target, decode(target / LEVELS, "srgb"), "transfer"
+        given, other, name = target, decode(target / LEVELS, "srgb"), "transfer"
     basis = _orthonormal(np.vstack([here[0], np.asarray(here[1])[None]]).T.astype(np.float64))
 
-    def left(y: np.ndarray) -> float:
+    def residual_power(y: np.ndarray) -> float:
         y = np.asarray(y, np.float64)
         rest = y - basis @ (basis.T @ y)
         return float(rest @ rest) / max(float(((y - y.mean()) ** 2).sum()), 1e-30)
 
-    # Against the variance, which decoding changes too.
-    ratio = left(other) / max(left(read), 1e-30)
-    if ratio < REMEDIED:
+    # Relative to the variance, which decoding changes too.
+    ratio = residual_power(other) / max(residual_power(given), 1e-30)
+    if ratio < TRANSFER_IMPROVEMENT:
         yield Suspect(1 - ratio, name, WORDS[name])
 
 
@@ -260,7 +265,7 @@ def _background(picture, values, span):
 def _second_light(picture, model, full, pixels, tangent):
     """Rays of the same shape about each place of a lattice, on a small copy."""
     h, w, c = full.shape
-    side = min(SMALL, h, w)
+    side = min(SECOND_LIGHT_SIDE, h, w)
 
     def small(flat: np.ndarray) -> np.ndarray:
         image = np.zeros(h * w, np.float64)
@@ -275,7 +280,7 @@ def _second_light(picture, model, full, pixels, tangent):
         residual = np.where(picture.clipped.ravel()[pixels], 0, residual)
     coarse = small(residual)
     span = Span(np.stack([small(channelled(row)) for row in tangent.jacobian]), coarse)
-    # Of the whole residual's power, as the other directions have it.
+    # The power of the whole residual: shares then compare with those of the other directions.
     power = float(residual @ residual) / max(len(pixels), 1) * side * side
     if span.power == 0 or power == 0:
         return
@@ -288,7 +293,7 @@ def _second_light(picture, model, full, pixels, tangent):
     if mask.shape != (2 * side, 2 * side):
         return
     rays = np.asarray(read_rays(mask, lights.astype(np.float32), points), np.float64)
-    # RAY_STEPS equal steps to the light; the rays end at density.
+    # The rays have equal steps to the light and end at density.
     steps = rays.shape[1]
     t = (np.arange(steps) + 0.5) / steps
     kappa = -model.samples * np.log(max(float(model.decay), 1e-6)) / max(float(model.density), 1e-3)
@@ -309,7 +314,7 @@ def _second_light(picture, model, full, pixels, tangent):
 
 
 def jpeg(picture: Picture) -> Suspect | None:
-    """The sentence, where the target shows the blocks."""
+    """The warning of a JPEG, where the target has its 8x8 blocks."""
     if picture.half == 0 or not was_jpeg(picture.levels[..., 0]):
         return None
     return Suspect(1.0, "jpeg", WORDS["jpeg"])

@@ -1,4 +1,4 @@
-"""Those of many that differ: one of each minimum, one of each light."""
+"""Candidates that differ: one of each minimum, one of each light."""
 
 from __future__ import annotations
 
@@ -11,20 +11,22 @@ Item = TypeVar("Item")
 
 
 def distinct(
-    items: Iterable[Item], same: Callable[[Item, Item], bool], most: int | None = None
+    items: Iterable[Item], same: Callable[[Item, Item], bool], limit: int | None = None
 ) -> list[Item]:
-    """The items, in their order, that are not the ``same`` as one that was kept before; at
-    ``most`` so many."""
-    kept: list[Item] = []
+    """The items, in their order, without those that are the ``same`` as an earlier one; at most
+    ``limit``."""
+    distinct_items: list[Item] = []
     for item in items:
-        if most is not None and len(kept) == most:
+        if limit is not None and len(distinct_items) == limit:
             break
-        if not any(same(item, other) for other in kept):
-            kept.append(item)
-    return kept
+        if not any(same(item, other) for other in distinct_items):
+            distinct_items.append(item)
+    return distinct_items
 
 
 DOUBT = 8.0
+"""Difference in log-likelihood up to which another candidate may be the better one: the candidates
+were compared on a sample of the pixels."""
 
 
 def local_minima(costs: np.ndarray) -> np.ndarray:

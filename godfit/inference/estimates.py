@@ -1,4 +1,4 @@
-"""From coordinates and their covariance to parameters with errors, and what is open in words."""
+"""From coordinates and their covariance to parameters with errors, and sentences on open ones."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from godfit.runtime.program_cache import cached_jit
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """A parameter's value; ``stderr`` is None where it is fixed or cannot be known. ``interval``
-    is the 95% interval of its profile likelihood, ``posterior`` the middle 95% of the posterior,
-    where these were asked for."""
+    """A parameter's value; ``stderr`` is None where it is fixed or not determined. ``interval`` is
+    the 95% interval of its profile likelihood, ``posterior`` the middle 95% of the posterior; both
+    are None where they were not computed."""
 
     value: float
     stderr: float | None
@@ -31,8 +31,8 @@ class Estimate:
 
 class Estimates(NamedTuple):
     """The ``model`` at its parameters, these with their errors, their product
-    (``combined``), ``covariance`` (p, p) of the parameters (NaN where not known), what is
-    ``undetermined`` in words, and ``held`` (p,), NaN where free."""
+    (``combined``), ``covariance`` (p, p) of the parameters (NaN where not known), sentences on the
+    ``undetermined`` ones, and ``held`` (p,), NaN where free."""
 
     model: AbstractModel
     params: dict[str, Estimate]
@@ -60,7 +60,7 @@ def estimates(model: AbstractModel, solution: Solution, used: np.ndarray) -> Est
     opened = [i for i, _ in open_]
     z = np.where(np.isnan(held), coordinates, held)
     z = np.where(np.isin(np.arange(len(names)), opened), z, coordinates)
-    # An open parameter is held only for want of better: what it would move is not known either.
+    # An open parameter was held only by default, so that its own effect is not known either.
     loose = np.where(np.isin(np.arange(len(names)), opened), np.nan, held).astype(np.float32)
     z = z.astype(np.float32)
     fitted = model_at(z, loose, model)
@@ -74,7 +74,7 @@ def estimates(model: AbstractModel, solution: Solution, used: np.ndarray) -> Est
     stderr = np.sqrt(np.where(unknown, np.nan, np.diag(covariance)))
     covariance[unknown] = covariance[:, unknown] = np.nan
     lower, upper = (np.asarray(b, np.float32) for b in model.bounds())
-    # Within its error of a bound, a value is as good as on it.
+    # A value within its error of a bound counts as on it.
     error = np.sqrt(np.diag(spread))
     at_bound = (coordinates - lower <= error) | (upper - coordinates <= error)
     params = {
@@ -94,7 +94,7 @@ def estimates(model: AbstractModel, solution: Solution, used: np.ndarray) -> Est
 
 
 def held_at(held: np.ndarray, opened: list[int], values: np.ndarray) -> np.ndarray:
-    """(p,) where parameters are held, those that are open where they were left; NaN if free."""
+    """(p,) values at which parameters are held, the open ones included; NaN where free."""
     return np.where(np.isin(np.arange(len(held)), opened), values, held).astype(np.float32)
 
 
@@ -115,8 +115,8 @@ def _combined(
     values: np.ndarray,
     covariance: np.ndarray,
 ) -> dict[str, Estimate]:
-    """The product, by name: it is known where one factor is open, too, from what the other is where
-    that one is held."""
+    """The product, by name. It is also known where one factor is open: from the other one,
+    estimated with the open one held."""
     if not set(product) <= set(names):
         return {}
     pair = [names.index(name) for name in product]
@@ -133,23 +133,23 @@ def _sentences(
     values: np.ndarray,
     combined: dict[str, Estimate],
 ) -> tuple[str, ...]:
-    """What is left open, in words."""
+    """A sentence for each group of parameters that is open."""
     opened = [index for index, _ in open_]
-    said, alone = [], []
+    sentences, alone = [], []
     for index, partners in open_:
         rest = [names[i] for i in partners if i not in opened]
         both = [(n, e) for n, e in combined.items() if n.startswith(f"{names[index]}*")]
         if both and both[0][1].stderr is not None:
             name, e = both[0]
-            said.append(f"only {name} is determined ({e.value:.6g} +- {e.stderr:.2g})")
+            sentences.append(f"only {name} is determined ({e.value:.6g} +- {e.stderr:.2g})")
         elif rest:
             together = " and ".join([names[index], *rest])
-            said.append(f"only a combination of {together} is determined")
+            sentences.append(f"only a combination of {together} is determined")
         else:
             alone.append(index)
             continue
-        said[-1] += f"; {names[index]} was held at {values[index]:.6g}"
+        sentences[-1] += f"; {names[index]} was held at {values[index]:.6g}"
     if alone:
         held = ", ".join(f"{names[i]} (held at {values[i]:.6g})" for i in alone)
-        said.append(f"not determined by this picture: {held}")
-    return tuple(said)
+        sentences.append(f"not determined by this picture: {held}")
+    return tuple(sentences)

@@ -1,5 +1,8 @@
-"""A model at a point, ``z`` (p,), with parameters ``held`` (p,) where not NaN: programs of their
-own, each kept. Done one by one, the operations of a single ``moved`` take twenty milliseconds."""
+"""A model at a point, ``z`` (p,), with parameters ``held`` (p,) where not NaN.
+
+Each function is a compiled program in the cache: one by one, the operations of a single ``moved``
+take twenty milliseconds.
+"""
 
 from __future__ import annotations
 
@@ -14,37 +17,38 @@ from godfit.runtime.program_cache import RunTime, cached_jit
 
 
 def model_at(z, held, model):
-    """The model there."""
+    """The ``model`` moved to ``z``, with parameters ``held``."""
     return eqx.combine(_moved(z, held, model), model)
 
 
 @cached_jit
 def _moved(z, held, model):
-    # What does not move stays with the caller: a traced number of samples would come back an array.
+    # Leaves that do not move stay with the caller: a traced number of samples would come back as an
+    # array.
     return eqx.filter(model.moved(z, held), eqx.is_inexact_array)
 
 
 @cached_jit
 def coordinates_at(z, held, model):
-    """(p,) its coordinates, which are not ``z`` where something is held."""
+    """(p,) coordinates of the moved model, which differ from ``z`` where parameters are held."""
     return model.moved(z, held).coordinates()
 
 
 @cached_jit
 def predicted(z, held, model, observation):
-    """(n c,) levels at the pixels observation, every pixel's channels together."""
+    """(n c,) levels at the pixels of ``observation``, the channels of a pixel side by side."""
     return observation.predict(model.moved(z, held))
 
 
 @cached_jit
 def occlusion_of(model, mask):
-    """(h, w) or (h, w, c) what the light pass of ``model`` reads."""
+    """(h, w) or (h, w, c) occlusion that the light pass of ``model`` reads, from its ``mask``."""
     return model.occlusion(mask)
 
 
 def taps_of(model):
     """Places (k + 1,) and weights (k + 1,) of the one pass of ``model``, the pixel's own first."""
-    # So many numbers as there are taps: a program of its own for each.
+    # The shape of the result depends on the number of taps: it gets a program of its own.
     return _taps_of(jax.tree.map(lambda leaf: int(leaf) if type(leaf) is RunTime else leaf, model))
 
 

@@ -1,4 +1,4 @@
-"""Where a fit ended."""
+"""The result of a search, from which the report is made."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ class Found:
     - ``problem`` was solved on the pixels of ``observation``; ``settled`` is the point, and
       ``evidence`` the likelihood about it.
     - ``opened`` are the coordinates that the picture leaves open, each with those it trades with.
-    - ``inquire`` is False where nobody wants to know what may be wrong.
-    - ``remarks`` are doubts about the model, ``objection`` is why the answer is not to be believed
-      at all; both in words.
-    - ``shifts`` are changes of the coordinates (p,), each the effect of something that was taken as
-      known and may be a little different.
+    - ``inquire`` is False where the model is not to be diagnosed.
+    - ``remarks`` are sentences with doubts about the model; ``objection`` is a sentence why the
+      answer is wrong, or empty.
+    - ``shifts`` are changes of the coordinates (p,), each the effect of an error in a quantity that
+      was taken as known.
     - ``starts_agreed`` is (agreeing, tried) where other starts were tried.
-    - ``remedy`` is another interpretation of the images that explains far more.
+    - ``remedy`` is another transfer or mask under which the residual is far smaller.
     - ``scatter`` (p, p) is the covariance of the coordinates where it was simulated.
     """
 

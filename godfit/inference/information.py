@@ -1,4 +1,4 @@
-"""What the fitted point is worth: covariance, undetermined combinations, structure that is left."""
+"""Information about the fitted point: covariance, undetermined coordinates, residual structure."""
 
 from __future__ import annotations
 
@@ -14,11 +14,21 @@ from godfit.inference.solver import Intervals, Tangent
 from godfit.runtime.parallel import parallel_map
 from godfit.runtime.program_cache import cached_jit
 
-# Beyond these, noise is no explanation of what is left.
 MAX_TAILS = 3.5
+"""Kurtosis up to which a residual may be noise: Gaussian noise has 3, chance adds a few tenths."""
 MAX_CORRELATION = 0.3
-# Values that are worked on together, so that memory does not grow with the picture.
-BLOCK = 1 << 17
+"""Correlation of neighbours up to which a residual may be noise: rounding alone leaves some."""
+EVIDENCE_VALUES = 1 << 17
+"""Values that are worked on together, so that memory does not grow with the picture."""
+OPEN_ENTRY = 0.3
+"""Entry of an open direction's unit vector from which a coordinate takes part in it: its share of
+the power is then a tenth."""
+HELD_LAST_WEIGHT = 0.3
+"""Factor on the entry of the coordinate that is held last: only a dominant one is held before."""
+OUTLIER_SPREADS = 5.0
+"""Robust standard deviations beyond which a value counts as an outlier: noise is never as far."""
+LEAST_SPREAD = 0.3
+"""Robust standard deviation in levels, at least: rounding alone has 1 / sqrt(12)."""
 
 
 class Evidence(NamedTuple):
@@ -26,7 +36,7 @@ class Evidence(NamedTuple):
 
     By coordinate: ``curvature`` (p, p) is the sum of -d2 log-likelihood, ``scores`` (p, p) that of
     the outer products of its slopes, ``gradient`` (p,) that of the slopes; ``blunt`` is the
-    curvature with the rounding counted as noise, which is what least squares would know.
+    curvature with the rounding counted as noise, which is the information of least squares.
     ``prediction`` (m,) is in levels, ``score`` (m,) the slope of each value's log-likelihood in
     units of sigma.
     """
@@ -39,17 +49,17 @@ class Evidence(NamedTuple):
     score: np.ndarray
 
     def within(self, ranges: np.ndarray) -> Evidence:
-        """The evidence with what is known beforehand: coordinates lie within plausible ``ranges``
-        (p,). Some can trade until nothing but this limits them."""
+        """The evidence with a prior: coordinates lie within plausible ``ranges`` (p,). Some can
+        trade until only the prior limits them."""
         known = np.diag(1 / ranges**2)
         return self._replace(
             curvature=self.curvature + known, scores=self.scores + known, blunt=self.blunt + known
         )
 
     def thinned(self, repeats: float) -> Evidence:
-        """The evidence of a picture that says everything ``repeats`` times over, as least squares
-        counts it: the roundings of so few different pixels are no sample of anything, and walls
-        of intervals that they happen to touch promise far too much."""
+        """The evidence of a picture whose every line is repeated ``repeats`` times, as least
+        squares counts it. The roundings of so few different pixels are no random sample, and the
+        ends of intervals that they happen to touch would promise far too much."""
         if repeats <= 1:
             return self
         blunt = self.blunt / repeats
@@ -58,11 +68,11 @@ class Evidence(NamedTuple):
     def covariance(self, free: np.ndarray) -> np.ndarray:
         """(p, p) covariance of the coordinates, zero for those that are not free.
 
-        The inverse of the information: curvature or scores, in every direction the lesser. With
-        noise the two agree. Where rounding is all the noise there is, the problem is not
-        regular: the curvature alone covers too seldom, the scores cover often enough. There the
-        likelihood may also be flat at its very top, all values inside their intervals; the
-        information is never taken to be less than what least squares has.
+        It inverts the information: curvature or scores, in every direction the lesser. With noise
+        the two agree. Where rounding is the only noise, the problem is not regular: intervals from
+        the curvature alone cover too seldom, those from the scores cover often enough. There the
+        likelihood may also be flat at its top, all values inside their intervals. The information
+        is never taken to be less than that of least squares.
         """
         covariance = np.zeros_like(self.curvature)
         curvature, scores, blunt = (
@@ -116,7 +126,9 @@ def evidence(settled: Settled, tangent: Tangent, observation: Observation) -> Ev
         found = _evidence(*values, np.float32(sigma), np.float32(blunt_sigma))
         return [np.asarray(z) for z in found]
 
-    parts = parallel_map(of, [slice(b, b + BLOCK) for b in range(0, len(lo), BLOCK)])
+    parts = parallel_map(
+        of, [slice(b, b + EVIDENCE_VALUES) for b in range(0, len(lo), EVIDENCE_VALUES)]
+    )
     curvature, scores, blunt, gradient = (
         np.sum([part[i] for part in parts], 0, np.float64) for i in range(4)
     )
@@ -137,28 +149,34 @@ def undetermined(
 ) -> list[tuple[int, list[int]]]:
     """Coordinates to hold because the picture leaves them open, each with those it trades with.
 
-    A direction is open if moving along it over the coordinates' plausible ``ranges`` changes the
-    log-likelihood by less than 1/2. The coordinate that has most of it is held, ``keep`` (the one
-    to be left when only one number is known) last, and the rest looked at again.
+    ``information`` is (p, p), ``ranges`` and ``free`` are (p,). A direction is open if moving along
+    it over the coordinates' plausible ``ranges`` changes the log-likelihood by less than 1/2. The
+    coordinate with the largest entry is held, and the rest is tested again. The coordinate ``keep``
+    is held last: it remains when only one number is determined.
     """
     open_: list[tuple[int, list[int]]] = []
-    left = [int(i) for i in np.flatnonzero(free)]
-    while left:
-        block = information[np.ix_(left, left)] * np.outer(ranges[left], ranges[left])
+    remaining = [int(i) for i in np.flatnonzero(free)]
+    while remaining:
+        scales = np.outer(ranges[remaining], ranges[remaining])
+        block = information[np.ix_(remaining, remaining)] * scales
         values, vectors = np.linalg.eigh(block)
         if values[0] >= 1:
             break
         direction = np.abs(vectors[:, 0])
-        most = int(np.argmax(np.where(np.array(left) == keep, 0.3, 1.0) * direction))
-        partners = [left[int(i)] for i in np.flatnonzero(direction > 0.3) if i != most]
-        open_.append((left[most], partners))
-        del left[most]
+        weights = np.where(np.array(remaining) == keep, HELD_LAST_WEIGHT, 1.0)
+
+        largest = int(np.argmax(weights * direction))
+        partners = [
+            remaining[int(i)] for i in np.flatnonzero(direction > OPEN_ENTRY) if i != largest
+        ]
+        open_.append((remaining[largest], partners))
+        del remaining[largest]
     return open_
 
 
 class Misfit(NamedTuple):
-    """How unlike noise the residual is: ``tails``, the fourth moment over the squared second (3 for
-    Gaussian noise), and ``correlation`` of horizontal neighbours (0)."""
+    """How much the residual differs from noise: ``tails``, the fourth moment over the squared
+    second (3 for Gaussian noise), and ``correlation`` of horizontal neighbours (0)."""
 
     tails: float
     correlation: float
@@ -175,9 +193,9 @@ def misfit(prediction: np.ndarray, observation: Observation) -> Misfit:
     residual = (np.where(inside, lo, 0) + np.where(inside, hi, 0)) / 2
     residual = np.where(inside, np.asarray(prediction) - residual, 0.0)
     if observation.foreign:
-        # Of those that are foreign nobody says that they are noise.
+        # Foreign pixels may have any level: they are no sample of the noise.
         spread = 1.4826 * float(np.median(np.abs(residual[inside]))) if inside.any() else 0.0
-        inside &= np.abs(residual) < 5 * max(spread, 0.3)
+        inside &= np.abs(residual) < OUTLIER_SPREADS * max(spread, LEAST_SPREAD)
         residual = np.where(inside, residual, 0.0)
     count = max(int(np.count_nonzero(inside)), 1)
     square = np.square(residual)

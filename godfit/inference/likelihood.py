@@ -1,20 +1,24 @@
-r"""What a pixel that was rounded says about the value behind it.
+r"""The likelihood of the value behind a rounded pixel.
 
-A stored level t means that the value before rounding lay in [t - h, t + h), h half the distance
-between two levels; the brightest level means "at least", the darkest "below". With Gaussian noise
-of standard deviation sigma before the rounding, the log-likelihood of a prediction f is
+A stored level t means that the value before rounding lay in [t - h, t + h), with h half the
+distance between two levels. The brightest level means "at least", the darkest "below". With
+Gaussian noise of standard deviation sigma before the rounding, the log-likelihood of a prediction f
+is
 
     log(Phi((hi - f)/sigma) - Phi((lo - f)/sigma))
 
-the likelihood of grouped (interval-censored) data: Sheppard 1898; Heitjan, Statistical Science 4
-(1989), 164. It is log-concave in f. As sigma grows it becomes least squares with sigma^2 + h^2/3.
+This is the likelihood of grouped (interval-censored) data: Sheppard 1898; Heitjan, Statistical
+Science 4 (1989), 164. It is log-concave in f. As sigma grows it becomes least squares with
+sigma^2 + h^2/3.
 
-Where a model is silent about some pixels (objects, panels), a share of them, ``foreign``, may be of
-any level alike: the density is then a mixture with heavy tails (Jaynes, Probability Theory, ch. 21;
-Hogg, Bovy & Lang, arXiv:1008.4686, section 3), and what is far off pulls no more.
+Where a model has no value for some pixels (objects, panels), a share of them, ``foreign``, may have
+any level with equal probability. The density is then a mixture with heavy tails (Jaynes,
+Probability Theory, ch. 21; Hogg, Bovy & Lang, arXiv:1008.4686, section 3), and outliers have no
+slope.
 
-Solvers of nonlinear least squares take it as deviance residuals, r = sign(t - f) sqrt(2 (max log-
-likelihood - log-likelihood)), whose sum of squares is the deviance. All values are in 8-bit levels.
+Solvers of nonlinear least squares use deviance residuals, r = sign(t - f) sqrt(2 (max
+log-likelihood - log-likelihood)), whose sum of squares is the deviance. All values are in 8-bit
+levels.
 """
 
 from __future__ import annotations
@@ -30,17 +34,25 @@ from numpy.polynomial import chebyshev
 from scipy.special import erfcx
 
 LOG_SQRT_2PI = 0.9189385332046727
+"""log(sqrt(2 pi)), of the normal density."""
 INVERSE_SQRT_2PI = 0.3989422804014327
-# Where the variable of the polynomial for Mills' ratio changes sign.
+"""1 / sqrt(2 pi), of the normal density."""
 MILLS_CENTRE = 3 * math.sqrt(2)
-# Stands for infinity in units of sigma: its normal density underflows and its square does not
-# overflow, so that nothing becomes inf - inf.
-FAR = 1e5
-# Below this width (in sigma) the interval is a point: the density times the width, whose error,
-# width^2/24, is then smaller than the cancellation in a difference of two distribution functions.
-NARROW = 0.02
-# What a level that could be any has to itself.
+"""Argument of Mills' ratio at which the polynomial's variable changes sign (Shepherd &
+Laframboise)."""
+INFINITE_SPREADS = 1e5
+"""Stands for infinity in units of sigma: its normal density underflows and its square does not
+overflow, so that nothing becomes inf - inf."""
+POINT_WIDTH = 0.02
+"""Width of an interval in units of sigma below which it is a point. Its likelihood is then the
+density times the width. The error, width^2/24, is smaller than the cancellation in a difference of
+two distribution functions."""
+TAIL_SPREADS = 8.0
+"""Units of sigma beyond an interval from which the curvature has its asymptotic form."""
+SMALL_DEVIANCE = 4e-4
+"""Deviance below which the ratio slope / residual has lost its digits in float32."""
 ANY_LEVEL = 1 / 256
+"""Probability of each level where all are equally likely."""
 
 
 class Interval(NamedTuple):
@@ -68,13 +80,17 @@ def interval(low: Float[Array, "..."], high: Float[Array, "..."], foreign: float
 
 
 def _interval(low: Float[Array, "..."], high: Float[Array, "..."]) -> Interval:
-    low, high = jnp.clip(low, -FAR, FAR), jnp.clip(high, -FAR, FAR)
+    low, high = (
+        jnp.clip(low, -INFINITE_SPREADS, INFINITE_SPREADS),
+        jnp.clip(high, -INFINITE_SPREADS, INFINITE_SPREADS),
+    )
     middle, width = (low + high) / 2, high - low
     # Mirrored to the left tail: 0 <= |b| <= -a. Both distribution functions keep their relative
-    # precision there as normal densities times Mills ratios, of which the larger density comes out
-    # of the difference where both are small.
+    # precision there as normal densities times Mills ratios. Where both are small, the larger
+    # density is factored out of the difference.
+
     a, b = jnp.where(middle > 0, -high, low), jnp.where(middle > 0, -low, high)
-    narrow = width < NARROW
+    narrow = width < POINT_WIDTH
     # The branch that is not taken must be harmless too.
     a = jnp.where(narrow, b - 1.0, a)
     tail = b <= 0
@@ -92,7 +108,9 @@ def _interval(low: Float[Array, "..."], high: Float[Array, "..."]) -> Interval:
     curvature = slope * slope + b * density_b - a * density_a
     # Far out the two terms are large and nearly equal; their difference tends to 1 - 1/b^2.
     curvature = jnp.where(
-        b < -8, 1 - jnp.minimum(1 / (b * b), width * width / 12), jnp.clip(curvature, 0, 1)
+        b < -TAIL_SPREADS,
+        1 - jnp.minimum(1 / (b * b), width * width / 12),
+        jnp.clip(curvature, 0, 1),
     )
     point = -middle * middle / 2 - LOG_SQRT_2PI + jnp.log(jnp.where(width > 0, width, 1.0))
     return Interval(
@@ -104,7 +122,7 @@ def _interval(low: Float[Array, "..."], high: Float[Array, "..."]) -> Interval:
 
 def mills_ratio(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """(1 - Phi(x)) / phi(x) for x >= 0, to rounding: a polynomial in (x - c)/(x + c), c = 3 sqrt 2,
-    as Shepherd & Laframboise (Math. Comp. 36 (1981), 249) take exp(z^2) erfc(z); JAX's
+    as Shepherd & Laframboise (Math. Comp. 36 (1981), 249) evaluate exp(z^2) erfc(z). JAX's
     log_ndtr, in three branches, takes longer."""
     from_infinity = 1 / (x + MILLS_CENTRE)
     t = 1 - 2 * MILLS_CENTRE * from_infinity
@@ -134,13 +152,14 @@ def log_likelihood(
     sigma: Float[Array, ""],
     foreign: float = 0.0,
 ) -> Float[Array, " n"]:
-    """Log-likelihood of every pixel; for points (lo = hi) that of the density."""
+    """(n,) log-likelihood of every value, from ``lo`` to ``hi`` (n,) in levels with noise of
+    ``sigma`` levels; for points (lo = hi) that of the density."""
     log = interval((lo - prediction) / sigma, (hi - prediction) / sigma, foreign).log
     return jnp.where(lo == hi, log - jnp.log(sigma), log)
 
 
 def _best(lo, hi, sigma, foreign):
-    """Log-likelihood of the prediction that suits the pixel best: the middle of its interval."""
+    """Log-likelihood of the best prediction for each value: the middle of its interval."""
     half = jnp.where(jnp.isfinite(lo) & jnp.isfinite(hi), (hi - lo) / 2, jnp.inf) / sigma
     return interval(-half, half, foreign).log
 
@@ -166,9 +185,9 @@ def _residuals(prediction, lo, hi, sigma, foreign):
     deviance = 2 * (best - pixel.log)
     size = jnp.sqrt(jnp.maximum(deviance, 0.0))
     # d r/d f = -slope / r, which tends to the root of the curvature in the middle.
-    # What is near depends on what the whole interval spans: inside a wide one the deviance is small
-    # all over.
-    small = deviance <= 4e-4 * jnp.minimum(1.0, -best)
+    # The threshold scales with the interval's own log-likelihood: inside a wide interval the
+    # deviance is small everywhere.
+    small = deviance <= SMALL_DEVIANCE * jnp.minimum(1.0, -best)
     ratio = jnp.abs(pixel.slope) / jnp.where(small, 1.0, size)
     slope = jnp.where(small, jnp.sqrt(pixel.curvature), ratio) / sigma
     return jnp.where(above, size, -size), -slope

@@ -1,4 +1,4 @@
-"""The noise that makes pixels likeliest, and how likely they are with it."""
+"""The standard deviation of the noise with the largest likelihood, and that likelihood."""
 
 from __future__ import annotations
 
@@ -12,16 +12,21 @@ from godfit.inference.likelihood import log_likelihood
 from godfit.inference.observation import Observation
 from godfit.runtime.program_cache import cached_jit
 
-# Noise below this many levels means that even the rounding of every pixel is explained.
 EXPLAINED = 0.05
-# Noise below this is lost in the rounding: masks that were rounded themselves leave as much.
+"""Noise in levels below which even the rounding of every pixel is explained."""
 WITHIN_ROUNDING = 0.125
-# Values that tell it, on the way and in the end.
-SIGMA_VALUES, FINAL_SIGMA_VALUES = 1 << 12, 1 << 15
-# Grid of levels, from well under the least that float32 leaves to the coarsest that means anything.
-RATIO = 3.0
-SIGMAS = (0.005 * RATIO ** np.arange(10)).astype(np.float32)
-MIDDLE = float(np.sqrt(SIGMAS[0] * SIGMAS[-1]))
+"""Noise in levels below which it is lost in the rounding: masks that were rounded themselves cause
+as much."""
+SIGMA_VALUES = 1 << 12
+"""Values that sigma is estimated from during a fit, to a share of 1 / sqrt(2 n), one percent."""
+FINAL_SIGMA_VALUES = 1 << 15
+"""Values that sigma is estimated from at the end of a fit, to 0.4 percent."""
+SIGMA_RATIO = 3.0
+"""Ratio of neighbouring sigmas of the coarsest grid; finer grids follow about the best one."""
+SIGMAS = (0.005 * SIGMA_RATIO ** np.arange(10)).astype(np.float32)
+"""Grid of sigmas in levels, from well under the error of float32 to a third of the whole scale."""
+MIDDLE_SIGMA = float(np.sqrt(SIGMAS[0] * SIGMAS[-1]))
+"""Level about which the coarsest grid is centred: the middle of SIGMAS on a logarithmic scale."""
 
 
 def _total(prediction, lo, hi, sigma, foreign):
@@ -32,18 +37,18 @@ def _total(prediction, lo, hi, sigma, foreign):
 def _likeliest(prediction, lo, hi, middle, first, last, part_of: int, foreign: float):
     """Sigma, the log-likelihood of all values there, and whether the first grid had it inside."""
     values = prediction, lo, hi
-    few = values
+    sample = values
     if prediction.shape[0] > part_of:
         # Drawn at random: a regular stride would fall into step with the rows.
         part = np.random.default_rng(0).integers(0, prediction.shape[0], part_of)
-        few = prediction[part], lo[part], hi[part]
+        sample = prediction[part], lo[part], hi[part]
 
     def finer(k, state):
         middle, within = state
-        step = math.log(RATIO) * 0.25 ** k.astype(middle.dtype)
+        step = math.log(SIGMA_RATIO) * 0.25 ** k.astype(middle.dtype)
         places = jnp.arange(len(SIGMAS)) - (len(SIGMAS) - 1) / 2
         sigmas = jnp.clip(middle * jnp.exp(step * places), SIGMAS[0], SIGMAS[-1])
-        found = jax.lax.map(lambda sigma: _total(*few, sigma, foreign), sigmas)
+        found = jax.lax.map(lambda sigma: _total(*sample, sigma, foreign), sigmas)
         at = jnp.argmax(jnp.where(jnp.isnan(found), -jnp.inf, found))
         inside = (at > 0) & (at < len(SIGMAS) - 1)
         before, here, after = found[at - 1], found[at], found[at + 1]
@@ -52,7 +57,7 @@ def _likeliest(prediction, lo, hi, middle, first, last, part_of: int, foreign: f
         shift = 0.5 * (before - after) / jnp.where(parabola, bend, 1.0)
         best = sigmas[at] * jnp.exp(jnp.where(parabola, step * shift, 0.0))
         best = jnp.clip(best, SIGMAS[0], SIGMAS[-1]).astype(middle.dtype)
-        # Less than the least there is not to be had.
+        # The smallest sigma counts as inside: the grid has nothing below it.
         return best, jnp.where(k == first, inside | (sigmas[at] <= SIGMAS[0]), within)
 
     sigma, within = jax.lax.fori_loop(first, last + 1, finer, (middle, jnp.bool_(True)))
@@ -65,19 +70,19 @@ def best_sigma(
     part_of: int = SIGMA_VALUES,
     near: float | None = None,
 ) -> tuple[float, float]:
-    """Noise in levels that makes the pixels likeliest, and their log-likelihood.
+    """Noise in levels with the largest likelihood of the pixels, and that log-likelihood.
 
     A grid of sigmas is refined by finer ones about its best and by a parabola in each, on
-    ``part_of`` the values: n of them know sigma to a share of 1/sqrt(2 n). The values are the same
-    at every call, and the parabola leaves no grid, so that likelihoods can be compared: of n values
-    sigma off by a share d costs n d^2. The first grid has all sigmas, or those ``near`` one, unless
-    the best lies at its end.
+    ``part_of`` of the values: n of them determine sigma to a share of 1/sqrt(2 n). The values are
+    the same at every call, and the parabola removes the grid, so that likelihoods can be compared:
+    with n values, a sigma that is off by a share d costs n d^2. The first grid has all sigmas, or
+    those ``near`` one, unless the best lies at its end.
     """
     last = 2 if part_of == SIGMA_VALUES else 3
-    first, middle = (0, MIDDLE) if near is None else (last - 1, near)
+    first, middle = (0, MIDDLE_SIGMA) if near is None else (last - 1, near)
     found = _likeliest(
-        prediction, observation.lo, observation.hi, np.float32(middle), np.int32(first), np.int32(last),
-        part_of, observation.foreign,
+        prediction, observation.lo, observation.hi, np.float32(middle),
+        np.int32(first), np.int32(last), part_of, observation.foreign,
     )  # fmt: skip
     sigma, likelihood, within = (float(z) for z in np.asarray(found))
     if near is not None and not within:

@@ -1,4 +1,4 @@
-"""What the images say, in the form that fit works on: numbers at chosen pixels, in 8-bit levels."""
+"""The images in the form that a fit works on: numbers at chosen pixels, in 8-bit levels."""
 
 from __future__ import annotations
 
@@ -19,14 +19,20 @@ from godfit.runtime.device import on_device
 from godfit.runtime.program_cache import cached_jit
 from godfit.scattering.upsample import Texels
 
-# Larger pictures are searched at this size: coordinates do not depend on it.
 SEARCH_SIZE = 1024
-# How much they vary is seen at this one.
+"""Pixels a side to which larger pictures are reduced for the search: coordinates do not depend on
+the size."""
 SLOPES_SIZE = 256
-# What only a picture's levels have a say in.
+"""Pixels a side of the copy whose gradients choose pixels: rounding hides slopes on a finer one."""
 CLIPPED = ("above", "clipped", "readable")
-# Times that pixels are drawn where it does, before any will do.
-DRAWS = 4
+"""Properties that depend on a picture's levels alone, and not on its mask."""
+PIXEL_DRAWS = 4
+"""Draws of informative pixels before the rest is filled up at random."""
+REPEATED_LINES = 4
+"""Times that a picture's lines repeat, at least, to count: a few equal lines at an edge are
+ordinary."""
+BLUR_CLIPPED_SHARE = 0.01
+"""Share of clipped pixels under the blur from which a blurred value is not used."""
 
 
 class Observation(eqx.Module):
@@ -41,25 +47,25 @@ class Observation(eqx.Module):
     size: tuple[int, int] = eqx.field(static=True)
     channels: int = eqx.field(static=True)
     transfer: str = eqx.field(static=True)
-    # Whether the pixels are all there are, in their order: then no index is needed.
+    # Whether the pixels are all of the image, in their order: then no index is needed.
     whole: bool = eqx.field(static=True)
     # Share of pixels that may be of any level, see ``likelihood.py``.
     foreign: float = eqx.field(static=True, default=0.0)
-    # What the pixels read of a light pass that is smaller than the picture, if they are few.
+    # The texels that the pixels read of a light pass smaller than the picture, if they are few.
     texels: Texels | None = None
 
     def predict(self, model: AbstractModel) -> Float[Array, " m"]:
         """Levels of the model's image before rounding, (pixels x channels,)."""
         some = None if self.whole else self.pixels
-        # Models that know of no smaller light pass are not asked for its texels.
-        few = {} if self.texels is None else {"texels": self.texels}
-        image = model(self.mask, self.background, size=self.size, pixels=some, **few)
+        # Models without a smaller light pass have no argument for its texels.
+        texels = {} if self.texels is None else {"texels": self.texels}
+        image = model(self.mask, self.background, size=self.size, pixels=some, **texels)
         image = image.reshape(self.pixels.shape[0], -1)
         image = jnp.broadcast_to(image, (self.pixels.shape[0], self.channels))
         return LEVELS * encode(image, self.transfer).reshape(-1)
 
     def only(self, rows: np.ndarray) -> Observation:
-        """Of the pixels, those in ``rows``."""
+        """The observation of those pixels that are in ``rows``."""
         pixels = np.asarray(self.pixels)[rows]
         lo, hi = (np.asarray(z).reshape(-1, self.channels)[rows] for z in (self.lo, self.hi))
         return dataclasses.replace(
@@ -82,9 +88,9 @@ class Picture:
     """Target, mask and background, reduced to the channels that differ.
 
     ``levels`` (h, w, c) is the target in 8-bit levels of its own encoding, ``half`` half the
-    distance between two of its levels (0 for floats), ``valid`` (h, w) is False where the user said
-    to look away. ``mask`` (h', w') or (h', w', c) and ``background`` (h, w, c) or None are linear.
-    ``foreign`` is the share of pixels that may be of any level.
+    distance between two of its levels (0 for floats), ``valid`` (h, w) is False where the user
+    excluded pixels. ``mask`` (h', w') or (h', w', c) and ``background`` (h, w, c) or None are
+    linear. ``foreign`` is the share of pixels that may be of any level.
     """
 
     levels: np.ndarray
@@ -134,7 +140,7 @@ class Picture:
             h, w = (max(1, n // factor) for n in image.shape[:2])
             return shrink(image, (h, w))
 
-        # A cell a channel of which is clipped in part has a mean that says nothing.
+        # A cell with a channel that is clipped in part has a meaningless mean.
         clipped = smaller(self.above.astype(np.float32))
         whole = over_channels(np.logical_and, (clipped == 0) | (clipped == 1))
         valid = (smaller(self.valid.astype(np.float32)) == 1) & whole
@@ -157,7 +163,7 @@ class Picture:
     def with_mask(self, mask: np.ndarray) -> Picture:
         """The same picture under another mask, of any size."""
         other = dataclasses.replace(self, mask=mask)
-        # What the levels are alone in saying is asked of them once.
+        # These depend on the levels alone and are computed once.
         vars(other).update({name: getattr(self, name) for name in CLIPPED})
         return other
 
@@ -192,10 +198,10 @@ class Picture:
 
     @functools.cached_property
     def repeats(self) -> float:
-        """How many times over the picture says the same: lines of pixels that are exactly as the
-        line before them, in target, mask and background, say nothing new. 1 for most pictures."""
+        """How many times each line of the picture is repeated. A line of pixels that equals the
+        line before it in target, mask and background is no new information. 1 for most pictures."""
         images = [self.levels, self.mask, *([] if self.background is None else [self.background])]
-        most = 1.0
+        largest = 1.0
         for axis in (0, 1):
             fresh = 1
             for image in images:
@@ -203,13 +209,12 @@ class Picture:
                 others = tuple(range(1, image.ndim))
                 changed = np.count_nonzero((lines[1:] != lines[:-1]).any(others))
                 fresh = max(fresh, changed + 1)
-            most = max(most, self.size[axis] / fresh)
-        # A few equal lines at an edge are ordinary, and counted as they are.
-        return most if most >= 4 else 1.0
+            largest = max(largest, self.size[axis] / fresh)
+        return largest if largest >= REPEATED_LINES else 1.0
 
     def observe(self, pixels: np.ndarray, blur: float = 0.0) -> Observation:
         """The picture at ``pixels``; with ``blur`` (pixels, the standard deviation of a Gaussian),
-        of target and mask both blurred, where clipped neighbours say nothing."""
+        of target and mask both blurred; values with clipped neighbours then have no bounds."""
         mask, background = self.mask, self.background
         if blur == 0:
             lo, hi = self.intervals(pixels)
@@ -217,7 +222,7 @@ class Picture:
             smooth = blurred_at(self.levels, blur, pixels)
             lo, hi = smooth - max(self.half, 0.5), smooth + max(self.half, 0.5)
             if self.clipped.any():
-                near = self._share_clipped(pixels, round(2 * blur))[:, None] > 0.01
+                near = self._share_clipped(pixels, round(2 * blur))[:, None] > BLUR_CLIPPED_SHARE
                 lo, hi = np.where(near, -np.inf, lo), np.where(near, np.inf, hi)
             lo, hi = lo.astype(np.float32), hi.astype(np.float32)
             mask = blurred(mask, blur * mask.shape[0] / self.size[0])
@@ -260,7 +265,7 @@ class Picture:
 
     def informative(self, count: int, seed: int) -> np.ndarray:
         """Sorted indices of ``count`` valid pixels: half at random, half where the target varies,
-        since flat areas say the same thing over and over."""
+        since pixels of flat areas repeat each other."""
         if (count, seed) not in self._chosen:
             self._chosen[count, seed] = self._informative(count, seed)
         return self._chosen[count, seed]
@@ -277,8 +282,8 @@ class Picture:
         chosen = candidates[rng.choice(len(candidates), count // 2, replace=False, shuffle=False)]
         (h, w), (rows, columns) = self.size, self._slopes.shape
         below = np.cumsum(self._slopes, dtype=np.float64)
-        for _ in range(DRAWS if below[-1] > 0 else 0):
-            # A cell where the target varies, a pixel in it; what was there before is passed over.
+        for _ in range(PIXEL_DRAWS if below[-1] > 0 else 0):
+            # A cell where the target varies, then a pixel in it; pixels drawn before are skipped.
             some = rng.random((3, 2 * count))
             cell = np.searchsorted(below, below[-1] * some[0], side="right")
             row = ((cell // columns + some[1]) * h / rows).astype(int)
@@ -296,7 +301,8 @@ class Picture:
     def _slopes(self) -> np.ndarray:
         """How much the target varies, 0 where all of it is clipped, on a copy of SLOPES_SIZE at
         most."""
-        # Differences over a few pixels see slopes that single levels hide.
+        # Differences over a few pixels resolve slopes that single levels hide.
+
         small = self.shrunk(-(-max(self.size) // SLOPES_SIZE))
         if min(small.size) < 2:
             return np.zeros(small.size, np.float32)

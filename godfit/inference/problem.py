@@ -1,4 +1,4 @@
-"""What a fit solves: a model, a picture, and which of the model's parameters are free."""
+"""The problem that a fit solves: a model, a picture, and which of its parameters are free."""
 
 from __future__ import annotations
 
@@ -19,19 +19,20 @@ from godfit.models.base import AbstractModel
 from godfit.models.build import check_values
 
 MAX_VALUES = 1 << 21
-"""Values (pixels times channels) of a fit, at most: more add nothing, and their derivatives would
-fill the memory."""
-PIXELS = 2048
-"""Pixels of a search: enough to tell minima apart, few enough to be evaluated in milliseconds."""
+"""Values (pixels times channels) of a fit, at most: more hardly change the errors, and their
+derivatives would fill the memory."""
+SEARCH_PIXELS = 2048
+"""Pixels of a search: enough to rank minima, few enough to be evaluated in milliseconds."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Problem:
     """A model to be fitted to a picture.
 
-    ``model`` says which kind; the point it is at does not matter. ``free`` (p,) are the coordinates
-    that may move, ``held`` (p,) the values of the parameters that may not, NaN where free. ``seed``
-    is that of the choice of pixels. Coordinates and parameters have the same names and order.
+    ``model`` gives the kind of model; its own parameters do not matter. ``free`` (p,) are the
+    coordinates that may move, ``held`` (p,) the values of the parameters that may not, NaN where
+    free. ``seed`` is that of the choice of pixels. Coordinates and parameters have the same names
+    and order.
     """
 
     model: AbstractModel
@@ -83,11 +84,11 @@ class Problem:
         return self.picture.observe(self.picture.informative(count, self.seed), blur)
 
 
-def pixels_used(picture: Picture, seed: int, most: int = MAX_VALUES) -> np.ndarray:
+def pixels_used(picture: Picture, seed: int, max_values: int = MAX_VALUES) -> np.ndarray:
     """Sorted indices of all valid pixels, or of those in rows drawn at random where there are more
-    than ``most`` values."""
+    than ``max_values`` values."""
     valid = picture.valid
-    rows = max(1, most // (valid.shape[1] * picture.channels))
+    rows = max(1, max_values // (valid.shape[1] * picture.channels))
     if rows < valid.shape[0]:
         chosen = np.random.default_rng(seed).permutation(valid.shape[0])[:rows]
         only = np.zeros_like(valid)
@@ -133,8 +134,8 @@ def checked_picture(
 def given_and_held(
     model: AbstractModel, fix: Mapping[str, float | None], start: Mapping[str, float]
 ) -> tuple[dict[str, float], np.ndarray]:
-    """Values that a search starts from, by name, and (p,) those of the parameters that are held, NaN
-    where free. Raises InputError for an unknown name, or a value out of range."""
+    """Values that a search starts from, by name, and (p,) those of the parameters that are held,
+    NaN where free. Raises InputError for an unknown name, or a value out of range."""
     table = model.parameters
     given: dict[str, float] = {}
     for option, values in (("start", start), ("fix", fix)):

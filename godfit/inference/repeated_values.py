@@ -1,10 +1,9 @@
-"""Flat areas: pixels that are alike say one thing, however many they are.
+"""Flat areas: equal pixels are one piece of information, however many they are.
 
-Where rounding is all the noise there is, the likelihood still allows for a trace of more, so that
-it has slopes. Pixels of a flat area all err together, not each on its own: where their value lies
-near the end of its interval, thousands of them would push it away as no single one does, and the
-whole answer with it. Their interval is therefore widened by as much as makes all of them together,
-at its very end, as likely as one.
+Where rounding is the only noise, the likelihood still allows for a trace of noise, so that it has
+slopes. Pixels of a flat area all err together, not each on its own. Where their value lies near the
+end of its interval, thousands of them would push it away as no single one does, and the fit with
+it. Their interval is therefore widened: all of them together are then as likely at its end as one.
 """
 
 from __future__ import annotations
@@ -20,30 +19,33 @@ from godfit.inference.problem import Problem
 from godfit.inference.settle import Settled, settle
 from godfit.inference.solver import Tangent, tangent_at
 
-# Levels within which values are alike, and so many of them that it is no chance.
-ALIKE, MANY = 1e-4, 4
-# Standard deviations from the end of an interval beyond which it pushes nobody.
-REACH = 8.0
-ROUNDS = 2
+SAME_LEVEL = 1e-4
+"""Levels within which values count as equal: the error of float32 at 255."""
+REPEATED_VALUES = 4
+"""Equal values that are no coincidence."""
+PUSH_SPREADS = 8.0
+"""Standard deviations from the end of an interval beyond which its slope is negligible."""
+RELIEF_ROUNDS = 2
+"""Rounds of widening and fitting: the second widens by the values of the first fit."""
 
 
 def relieved(observation: Observation, prediction: np.ndarray, sigma: float) -> Observation:
-    """``observation`` with wider intervals for values that are repeated near the end of theirs, as
-    ``prediction`` (m,) has them in levels; itself where there are none, or where more noise than
-    rounding is left."""
+    """``observation`` with wider intervals for values that are repeated near the end of theirs.
+    ``prediction`` (m,) is in levels. It is returned as it is where there are no such values, or
+    where ``sigma`` is more than rounding."""
     if sigma > EXPLAINED:
         return observation
     lo, hi = np.array(observation.lo), np.array(observation.hi)
     slack = np.minimum(prediction - lo, hi - prediction)
     # Values that were never rounded have no interval.
-    near = np.flatnonzero((slack < REACH * sigma) & (hi > lo))
+    near = np.flatnonzero((slack < PUSH_SPREADS * sigma) & (hi > lo))
     if not len(near):
         return observation
-    alike = np.rint(prediction[near].astype(np.float64) / ALIKE).astype(np.int64)
-    alike -= alike.min()
-    # All lie near an end of some level, so that there are few millions to be counted.
-    count = np.bincount(alike)[alike]
-    near, count = near[count >= MANY], count[count >= MANY]
+    level = np.rint(prediction[near].astype(np.float64) / SAME_LEVEL).astype(np.int64)
+    level -= level.min()
+    # All lie near an end of some level's interval, so that the table has a few million entries.
+    count = np.bincount(level)[level]
+    near, count = near[count >= REPEATED_VALUES], count[count >= REPEATED_VALUES]
     if not len(near):
         return observation
     wider = -sigma * ndtri(-np.expm1(-np.log(2) / count)).astype(np.float32)
@@ -58,13 +60,13 @@ def counted_once(
     whole: Observation,
     known: list[Tangent],
 ) -> tuple[Settled, Tangent, Observation]:
-    """Settled from ``start`` on with flat areas counted once; and the observation that it is then a
-    fit to. ``known`` holds the tangent at ``start``, if there is one, and is emptied as in
+    """The fit settled from ``start`` with flat areas counted once, its tangent, and the observation
+    that it fits. ``known`` holds the tangent at ``start``, if there is one, and is emptied as in
     ``settle``."""
     tangent = known.pop() if known else tangent_at(start, problem, whole)
     sigma, _ = best_sigma(tangent.prediction, whole)
     settled, observation = Settled(start, sigma, -np.inf, False), None
-    for _ in range(ROUNDS):
+    for _ in range(RELIEF_ROUNDS):
         before, observation = observation, relieved(whole, tangent.prediction, settled.sigma)
         if before is whole and observation is whole:
             break

@@ -1,8 +1,8 @@
-"""Which number of samples made a picture? Its taps leave bands, as far apart as they are.
+"""The number of samples, from the spacing of the bands that its taps leave.
 
-The number is an integer that nothing can be differentiated by, so it is scanned: a few hundred
-pixels for every number and the densities about the one that goes with it, exposure and gain solved
-for exactly (variable projection), then more pixels for the best few.
+The number is an integer, so that nothing can be differentiated by it. It is scanned: a few hundred
+pixels are evaluated for every number and for the densities about the one that goes with it, with
+exposure and gain solved for exactly (variable projection). The best few get more pixels.
 """
 
 from __future__ import annotations
@@ -21,16 +21,24 @@ from godfit.models.mitchell import Mitchell, resampled
 from godfit.runtime.parallel import cores, parallel_map
 from godfit.scattering.radial.spacings_kernel import residual_squares
 
-FEW, MORE, KEEP = 128, 4096, 12
-LEAST, MOST = 8, 320
-# Densities that are tried for a number, in distances between two taps.
-OFFSETS = np.linspace(-1, 1, 9)
-# Gain in log-likelihood of MORE values below which no other number is worth a fit.
-WORTH = 8.0
+SPACING_PIXELS = 128
+"""Pixels at which every spacing is evaluated: thousands of spacings limit their number."""
+FINE_SPACING_PIXELS = 4096
+"""Pixels at which the best spacings are evaluated."""
+FINE_SPACINGS = 12
+"""Spacings that are evaluated at FINE_SPACING_PIXELS: SPACING_PIXELS do not rank the best ones."""
+LEAST_SAMPLES = 8
+"""Samples of the coarsest shader that is tried: fewer show their taps one by one."""
+MOST_SAMPLES = 320
+"""Samples of the finest shader that is tried: the scan takes time in proportion."""
+SPACING_OFFSETS = np.linspace(-1, 1, 9)
+"""Densities that are tried for a number of samples, in distances between two taps."""
+SAMPLES_GAIN = 8.0
+"""Gain in log-likelihood of FINE_SPACING_PIXELS values below which another number is not fitted."""
 
 
 class Spacing(NamedTuple):
-    """A number of samples and the distance between two taps, of the ray."""
+    """A number of samples and the distance between two taps, as a share of the ray."""
 
     samples: int
     step: float
@@ -49,7 +57,7 @@ class _Scan:
         pixels = pixels[~picture.clipped.reshape(-1)[pixels]]
         h, w = picture.size
         low = picture.mask.shape
-        # Its border twice, as the compiled sum has it.
+        # The border is repeated as the compiled sum expects it.
         mask = np.pad(grey(picture.mask), ((1, 1), (1, 2)), mode="edge")
         self.mask = np.ascontiguousarray(mask, np.float32)
         self.size = low
@@ -60,12 +68,12 @@ class _Scan:
         self.target = levels.astype(np.float64) / LEVELS
 
     def costs(self, tried: list[Spacing]) -> np.ndarray:
-        """(n,) sums of squares left, exposure and gain free."""
+        """(n,) sums of squared residuals, exposure and gain free."""
         h, w = self.size[:2]
         u, v = self.light
         parts = np.array_split(np.arange(len(tried)), min(len(tried), 4 * cores()))
 
-        def of(part: np.ndarray) -> np.ndarray:
+        def costs_of(part: np.ndarray) -> np.ndarray:
             steps = np.array([tried[i].step for i in part])
             counts = np.array([tried[i].samples - self.drop for i in part])
             numbers = np.zeros((len(part), 5))
@@ -75,30 +83,32 @@ class _Scan:
                 self.mask, self.at, numbers, counts, self.shows_own, self.target
             )
 
-        return np.concatenate(parallel_map(of, parts))
+        return np.concatenate(parallel_map(costs_of, parts))
 
 
 def other_samples(model: Mitchell, picture: Picture, seed: int = 0) -> Mitchell | None:
-    """``model`` with the number of samples that suits the picture best, or None where no other is
-    better than its own by more than noise would make it. Of one light and no background."""
+    """``model`` with the number of samples of the largest likelihood, or None where no other number
+    gains more than noise would. For models with one light, for pictures without a background."""
     if picture.background is not None or picture.transfer != "none" or model.convention.box:
         return None
     if model.light.shape[0] != 1:
         return None
-    few, more = _Scan(model, picture, FEW, seed), _Scan(model, picture, MORE, seed)
-    tried = [taps for n in range(LEAST, MOST + 1) for taps in _about(model, n)]
-    kept = [tried[i] for i in np.argsort(few.costs(tried), kind="stable")[:KEEP]]
-    own = more.costs(_about(model, model.samples)).min()
-    left = more.costs(kept)
-    best, least = kept[int(left.argmin())], left.min()
+    coarse = _Scan(model, picture, SPACING_PIXELS, seed)
+    fine = _Scan(model, picture, FINE_SPACING_PIXELS, seed)
+    tried = [taps for n in range(LEAST_SAMPLES, MOST_SAMPLES + 1) for taps in _about(model, n)]
+    order = np.argsort(coarse.costs(tried), kind="stable")[:FINE_SPACINGS]
+    candidates = [tried[i] for i in order]
+    own = fine.costs(_about(model, model.samples)).min()
+    costs = fine.costs(candidates)
+    best, least = candidates[int(costs.argmin())], costs.min()
     # Rounding is noise as well.
-    floor = len(more.target) / 12 / LEVELS**2
-    gain = 0.5 * len(more.target) * math.log(max(own, floor) / max(least, floor))
-    if gain < WORTH or best.samples == model.samples:
+    floor = len(fine.target) / 12 / LEVELS**2
+    gain = 0.5 * len(fine.target) * math.log(max(own, floor) / max(least, floor))
+    if gain < SAMPLES_GAIN or best.samples == model.samples:
         return None
     other = resampled(model, best.samples)
     density = best.step * best.samples
-    decay = math.exp(-few.kappa * best.step)
+    decay = math.exp(-coarse.kappa * best.step)
     return eqx.tree_at(
         lambda m: (m.density, m.decay), other, (jnp.float32(density), jnp.float32(decay))
     )
@@ -110,5 +120,5 @@ def _about(model: Mitchell, samples: int) -> list[Spacing]:
     drop = model.convention.drop
     end = float(model.density) / model.samples * (model.samples - drop + 0.5)
     step = end / (samples - drop + 0.5)
-    steps = np.minimum(step * (1 + OFFSETS / samples), 1 / samples)
+    steps = np.minimum(step * (1 + SPACING_OFFSETS / samples), 1 / samples)
     return [Spacing(samples, float(s)) for s in np.unique(steps)]

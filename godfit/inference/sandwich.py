@@ -1,12 +1,12 @@
-"""Errors where neighbouring pixels err together: blocks of a JPEG, texels of an upsampled pass.
+"""Standard errors where neighbouring pixels err together: JPEG blocks, texels of an upsampled pass.
 
-The likelihood takes pixels to be independent. Where what is left of them is correlated, its
-curvature H promises too much, and the covariance of the estimate is H^-1 G H^-1, G the covariance
-of the likelihood's slope (White, Econometrica 50 (1982), 1). G is estimated from the slope's sums
-over square cells, each cell one draw (Liang & Zeger, Biometrika 73 (1986), 13): whatever agrees
-within a cell, noise, brightness and the picture's own structure, is counted as it is. One number
-for all parameters, from the residual's autocorrelation alone, would miss that a smooth derivative
-suffers from correlation and a rugged one does not.
+The likelihood takes pixels to be independent. Where the residual is correlated, its curvature H
+promises too much. The covariance of the estimate is H^-1 G H^-1, with G the covariance of the
+likelihood's slope (White, Econometrica 50 (1982), 1). G is estimated from the slope's sums over
+square cells, each cell one draw (Liang & Zeger, Biometrika 73 (1986), 13). Correlation within a
+cell, from noise, brightness or the picture's structure, is then included. A single factor for all
+parameters, from the residual's autocorrelation, would not do: correlation harms a smooth derivative
+and spares a rugged one.
 """
 
 from __future__ import annotations
@@ -16,15 +16,19 @@ import numpy as np
 from godfit.inference.observation import Observation
 from godfit.inference.solver import Tangent
 
-# Cells a side, in pixels, that a picture of 256 pixels is cut into; never less than a JPEG's unit.
-CELLS, LEAST_CELL = 8, 16
-# Correlation of neighbours that chance, or the last trace of rounding, does not explain.
-CHANCE, TRACE = 5.0, 0.03
+CELLS_A_SIDE = 8
+"""Cells along the longer side of a picture: 64 draws determine G to a fifth."""
+LEAST_CELL = 16
+"""Pixels a side of a cell, at least: the unit of a JPEG with subsampled colours."""
+CORRELATION_SPREADS = 5.0
+"""Standard deviations of a chance correlation, 1 / sqrt(pairs), that chance does not reach."""
+ROUNDING_CORRELATION = 0.03
+"""Correlation of neighbours that rounding alone may leave."""
 
 
 def neighbours(score: np.ndarray, observation: Observation) -> tuple[float, float, int]:
     """Correlation of horizontal and of vertical neighbours of ``score`` (m,), and the number of
-    pairs that the lesser known of them comes from."""
+    pairs of the direction that has fewer of them."""
     h, w = observation.size
     image = np.full((h * w, observation.channels), np.nan, np.float32)
     image[np.asarray(observation.pixels)] = np.asarray(score).reshape(-1, observation.channels)
@@ -41,9 +45,11 @@ def neighbours(score: np.ndarray, observation: Observation) -> tuple[float, floa
 
 
 def white(score: np.ndarray, observation: Observation) -> bool:
-    """Whether neighbours know nothing of each other."""
+    """Whether neighbouring entries of ``score`` (m,) are uncorrelated."""
     across, down, pairs = neighbours(score, observation)
-    return bool(max(across, down) < max(TRACE, CHANCE / np.sqrt(max(pairs, 1))))
+    return bool(
+        max(across, down) < max(ROUNDING_CORRELATION, CORRELATION_SPREADS / np.sqrt(max(pairs, 1)))
+    )
 
 
 def slope_covariance(
@@ -51,7 +57,7 @@ def slope_covariance(
 ) -> np.ndarray:
     """(p, p) covariance of the log-likelihood's slope by coordinate, from its sums over cells."""
     h, w = observation.size
-    side = max(LEAST_CELL, max(h, w) // CELLS)
+    side = max(LEAST_CELL, max(h, w) // CELLS_A_SIDE)
     pixels = np.asarray(observation.pixels)
     across = -(-w // side)
     cell = np.repeat(pixels // w // side * across + pixels % w // side, observation.channels)
@@ -59,16 +65,17 @@ def slope_covariance(
     sums = np.stack([np.bincount(cell, weight * row) for row in tangent.jacobian])
     sums /= np.asarray(tangent.scale, np.float64)[:, None]
     filled = np.count_nonzero(np.bincount(cell))
-    # The fit makes the sum over all cells zero in every coordinate, which takes as many draws.
-    left = max(filled - len(sums), 1)
-    return sums @ sums.T * (filled / left)
+    # The fit makes the sum over all cells zero in every coordinate, which costs as many draws.
+    freedom = max(filled - len(sums), 1)
+    return sums @ sums.T * (filled / freedom)
 
 
 def widened(
     covariance: np.ndarray, slope: np.ndarray, free: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """``covariance`` (p, p) made H^-1 G H^-1 in every direction where that is more, and by how much
-    it grew: the pixels that each independent one stands for, the geometric mean over directions."""
+    """``covariance`` (p, p) replaced by H^-1 G H^-1 in every direction where that is larger, and
+    the growth: pixels for each independent one, as a geometric mean over directions."""
+
     moving = np.flatnonzero(free & (np.diag(covariance) > 0))
     if not len(moving):
         return covariance, 1.0

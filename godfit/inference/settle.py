@@ -1,4 +1,7 @@
-"""Coordinates and noise that suit each other, by few renderings and many steps on a tangent."""
+"""Coordinates and noise that maximise the likelihood together.
+
+The model is rendered a few times only; between renderings, steps are taken on its tangent.
+"""
 
 from __future__ import annotations
 
@@ -9,34 +12,42 @@ import numpy as np
 
 from godfit.inference.noise import EXPLAINED, FINAL_SIGMA_VALUES, best_sigma
 from godfit.inference.observation import Observation
-from godfit.inference.problem import PIXELS, Problem
+from godfit.inference.problem import SEARCH_PIXELS, Problem
 from godfit.inference.solver import Intervals, Tangent, solve_tangent, tangent_at
 from godfit.runtime.blas import one_thread
 
-# Of a picture that is only rounded, values nearest to the walls of their intervals that have a say,
-# least.
-WALLS = 1 << 14
-# Of so many values one says where the nearest to their walls are.
-SAMPLED = 17
-# Gain in log-likelihood for which pixels are not rendered again: kinks of the mask make it jump by
-# as much between one float32 and the next.
-SHORT = 4.0
-# Where there are no bands there are no kinks that matter.
-SHORT_WITHOUT = 0.05
-# So few pixels are cheap to render again.
-FEW = 1 << 13
-# One pixel of so many says whether a tangent still holds.
-SPOT_CHECKED = 128
-# Of sigma, the most that they may be off it.
-BENT = 0.1
-# A step that moves no value by more than this share of sigma leads nowhere.
-NOWHERE = 0.05
-# Values whose derivatives are not held twice.
-LARGE = 1 << 20
+TIGHTEST_VALUES = 1 << 14
+"""Values nearest to the ends of their intervals that are solved for, at least, where rounding is
+the only noise: the others are far inside and have no slope."""
+TIGHTEST_FRACTION = 16
+"""One value in so many is solved for, where that is more than TIGHTEST_VALUES."""
+SLACK_STRIDE = 17
+"""One value in so many is sorted to bound the slack of the tightest: a tenth of the time. A prime,
+so that it does not fall into step with the rows."""
+BANDED_GAIN = 4.0
+"""Gain in log-likelihood below which pixels are not rendered again: kinks of the mask make it jump
+by as much between one float32 and the next."""
+SMOOTH_GAIN = 0.05
+"""The same gain for a picture without bands, which has no kinks that matter."""
+CHEAP_PIXELS = 1 << 13
+"""Pixels that are cheap to render again: up to here SMOOTH_GAIN holds in any case."""
+SPOT_CHECK_STRIDE = 128
+"""One pixel in so many is rendered to check whether a tangent still holds."""
+TANGENT_ERROR = 0.1
+"""Root mean square error of a tangent, as a share of sigma, that is still accepted."""
+NO_MOVE = 0.05
+"""Share of sigma by which a step must move some value to count as a step."""
+LARGE_TANGENT = 1 << 20
+"""Values beyond which two sets of derivatives are never in memory at once."""
+AIM_ROUNDS = 5
+"""Rounds of coordinates and sigma in turn on one tangent, at most: they end once sigma stays."""
+SAME_SIGMA = 0.05
+"""Relative change of sigma below which coordinates and sigma agree."""
 
 
 class Settled(NamedTuple):
-    """Coordinates and noise (levels) that suit each other; ``quiet`` when neither moved."""
+    """Coordinates and noise (levels) that maximise the likelihood together; ``quiet`` when neither
+    moved."""
 
     coordinates: np.ndarray
     sigma: float
@@ -63,19 +74,19 @@ def settle(
     known: list[Tangent] | None = None,
     spot_check: bool = False,
 ) -> tuple[Settled, Tangent]:
-    """Coordinates and noise that suit each other, until the log-likelihood stands still.
+    """Coordinates and noise that maximise the likelihood together, until it no longer grows.
 
     The pixels are rendered once for each round. In between, the likelihood, which is far from
     quadratic when sigma is small, is solved on the tangent, with sigma and coordinates in turn.
-    ``known`` holds the tangent at ``start``, if there is one already; it is taken out, so that
-    nobody keeps it for longer than it is of use. With ``spot_check`` the pixels are not rendered
-    again where a few of them say that the tangent is as good.
+    ``known`` holds the tangent at ``start``, if there is one already. It is taken out of the list,
+    so that its memory is free as soon as it is of no more use. With ``spot_check`` the pixels are
+    not rendered again where a sample of them confirms the tangent.
     """
     start = np.clip(start, *problem.bounds)
-    few = _drawn(observation) if spot_check else []
-    settled, tangent = _in_rounds(start, problem, observation, rounds, known or [], few)
+    spot_checks = _spot_checks(observation) if spot_check else []
+    settled, tangent = _in_rounds(start, problem, observation, rounds, known or [], spot_checks)
     if settled.sigma > EXPLAINED:
-        # On the way a few percent were enough; errors are quoted in units of it.
+        # The rounds need sigma to a few percent only; errors are quoted in units of it.
         sigma, likelihood = best_sigma(
             tangent.prediction, observation, FINAL_SIGMA_VALUES, settled.sigma
         )
@@ -83,7 +94,7 @@ def settle(
     return settled, tangent
 
 
-def _in_rounds(start, problem, observation, rounds, known, few) -> tuple[Settled, Tangent]:
+def _in_rounds(start, problem, observation, rounds, known, spot_checks) -> tuple[Settled, Tangent]:
     def render(z, observation=observation):
         return tangent_at(z, problem, observation)
 
@@ -91,20 +102,23 @@ def _in_rounds(start, problem, observation, rounds, known, few) -> tuple[Settled
     sigma, likelihood = best_sigma(tangent.prediction, observation)
     best = Settled(start, sigma, likelihood, False)
     part = 1.0
-    kinked = (problem.model.banded or observation.foreign) and len(observation.pixels) > FEW
-    short = SHORT if kinked else SHORT_WITHOUT
+    many = len(observation.pixels) > CHEAP_PIXELS
+    kinked = (problem.model.banded or observation.foreign) and many
+    short = BANDED_GAIN if kinked else SMOOTH_GAIN
     for _ in range(rounds):
         goal, there = aim(best, tangent, problem, observation)
         if goal.log_likelihood < best.log_likelihood + short:
-            # So short a step that the tangent is as good as another rendering.
+            # The step is so short that the tangent is as good as another rendering.
             return goal, there
-        exact = _exact(goal, there, few, render, problem) if few else None
+        exact = None
+        if spot_checks:
+            exact = _corrected_on_spots(goal, there, spot_checks, render, problem)
         if exact is not None:
             return exact, there
         z = best.coordinates + np.float32(part) * (goal.coordinates - best.coordinates)
         del there
-        if len(tangent.prediction) > LARGE:
-            # Two sets of derivatives would be the most that a fit ever holds: rather made again.
+        if len(tangent.prediction) > LARGE_TANGENT:
+            # Two sets of derivatives would be the largest memory of a fit: this one is made again.
             tangent = None
         there = render(z)
         sigma, likelihood = best_sigma(there.prediction, observation, near=goal.sigma)
@@ -114,7 +128,7 @@ def _in_rounds(start, problem, observation, rounds, known, few) -> tuple[Settled
             best, tangent = Settled(z, sigma, likelihood, False), there
             part = 1.0
         else:
-            # On a kink, where neither the whole step nor a part of it gains, there is no further.
+            # On a kink neither the whole step nor a part of it gains: the rounds end.
             done |= part < 1
             # Over a kink of the bilinear mask the tangent promises too much.
             part = 0.25
@@ -125,12 +139,14 @@ def _in_rounds(start, problem, observation, rounds, known, few) -> tuple[Settled
     return best, tangent
 
 
-def _drawn(observation: Observation) -> list[tuple[np.ndarray, Observation]]:
-    """Some pixels, drawn at random, as observations of PIXELS each, with the values that are
-    theirs; none of a picture that has few."""
+def _spot_checks(observation: Observation) -> list[tuple[np.ndarray, Observation]]:
+    """Pixels drawn at random, as observations of PIXELS each, with the indices of their values;
+    none where the picture has not enough pixels."""
     total = len(observation.pixels)
-    count = total // (SPOT_CHECKED * PIXELS)
-    drawn = np.random.default_rng(0).choice(total, (count, PIXELS), replace=False, shuffle=False)
+    count = total // (SPOT_CHECK_STRIDE * SEARCH_PIXELS)
+    drawn = np.random.default_rng(0).choice(
+        total, (count, SEARCH_PIXELS), replace=False, shuffle=False
+    )
     channels = np.arange(observation.channels)
     return [
         ((rows[:, None] * observation.channels + channels).reshape(-1), observation.only(rows))
@@ -138,34 +154,37 @@ def _drawn(observation: Observation) -> list[tuple[np.ndarray, Observation]]:
     ]
 
 
-def _exact(
+def _corrected_on_spots(
     goal: Settled,
     tangent: Tangent,
-    few: list[tuple[np.ndarray, Observation]],
+    spot_checks: list[tuple[np.ndarray, Observation]],
     render: Callable[[np.ndarray, Observation], Tangent],
     problem: Problem,
 ) -> Settled | None:
-    """The point whose rendering has the levels of the ``tangent``, which is bent away from them at
-    the ``goal``: by least squares on a ``few`` pixels. None if there is no such point nearby."""
-    z, values = goal.coordinates, np.concatenate([v for v, _ in few])
-    of = tangent.only(values)
+    """The point whose rendering has the levels of the ``tangent`` at the ``goal``, where rendering
+    and tangent differ. It is found by least squares on the pixels ``spot_checks``. None if there is
+    no such point nearby."""
+    z, values = goal.coordinates, np.concatenate([v for v, _ in spot_checks])
+    sampled = tangent.only(values)
 
-    def off(z):
-        return np.concatenate([render(z, part).prediction for _, part in few]) - of.prediction
+    def errors_at(z):
+        rendered = [render(z, part).prediction for _, part in spot_checks]
+        return np.concatenate(rendered) - sampled.prediction
 
     lower, upper = problem.bounds
-    # What is on its bound stays there.
+    # A coordinate on its bound stays there.
     moving = problem.free & (z > lower) & (z < upper)
-    bent, slopes = off(z), of.jacobian[moving].T
-    if not (np.isfinite(bent).all() and np.isfinite(slopes).all()):
+    errors, slopes = errors_at(z), sampled.jacobian[moving].T
+    if not (np.isfinite(errors).all() and np.isfinite(slopes).all()):
         return None
     with one_thread():
-        step, *_ = np.linalg.lstsq(slopes, bent, rcond=None)
+        step, *_ = np.linalg.lstsq(slopes, errors, rcond=None)
     z = z.copy()
     z[moving] -= step * tangent.scale[moving]
     z = np.clip(z, lower, upper)
-    left = float(np.sqrt(np.square(off(z)).mean()))
-    return goal._replace(coordinates=z) if left < BENT * min(goal.sigma, EXPLAINED) else None
+    rms = float(np.sqrt(np.square(errors_at(z)).mean()))
+    accepted = rms < TANGENT_ERROR * min(goal.sigma, EXPLAINED)
+    return goal._replace(coordinates=z) if accepted else None
 
 
 def aim(
@@ -175,31 +194,31 @@ def aim(
     z, sigma, likelihood = at.coordinates, at.sigma, at.log_likelihood
     lo, hi = np.asarray(observation.lo), np.asarray(observation.hi)
     levels, slack = tangent.prediction, _slack(tangent.prediction, lo, hi)
-    objected = None
-    for _ in range(5):
-        rows, of, walls = None, tangent, (observation.lo, observation.hi)
+    violated = None
+    for _ in range(AIM_ROUNDS):
+        rows, part, walls = None, tangent, (observation.lo, observation.hi)
         if sigma < EXPLAINED:
-            rows = _least(slack)
+            rows = _tightest(slack)
         if rows is not None:
-            if objected is not None and np.array_equal(rows, objected):
-                # Of many that are alike it is always the same ones that have a say.
+            if violated is not None and np.array_equal(rows, violated):
+                # Many values are equal, and the same ones are chosen again and again.
                 break
-            of, walls = tangent.only(rows), (lo[rows], hi[rows])
-        moved = of.moved(z - at.coordinates)
+            part, walls = tangent.only(rows), (lo[rows], hi[rows])
+        moved = part.moved(z - at.coordinates)
         intervals = Intervals(*walls, observation.foreign)
         there = solve_tangent(
-            z, problem, of._replace(prediction=moved), intervals, sigma
+            z, problem, part._replace(prediction=moved), intervals, sigma
         ).coordinates
         moved = tangent.moved(there - at.coordinates)
-        suits, found = best_sigma(moved, observation, near=sigma)
-        if rows is not None and found < likelihood:
-            if np.abs(moved - levels).max() < NOWHERE * sigma:
+        likeliest_sigma, new_likelihood = best_sigma(moved, observation, near=sigma)
+        if rows is not None and new_likelihood < likelihood:
+            if np.abs(moved - levels).max() < NO_MOVE * sigma:
                 break
-            # Values that were left out object: from now on they have a say.
-            slack, objected = np.minimum(slack, _slack(moved, lo, hi)), rows
+            # Values that were left out are violated now: they are solved for from here on.
+            slack, violated = np.minimum(slack, _slack(moved, lo, hi)), rows
             continue
-        z, levels, before, sigma, likelihood = there, moved, sigma, suits, found
-        if abs(sigma - before) < 0.05 * before:
+        z, levels, before, sigma, likelihood = there, moved, sigma, likeliest_sigma, new_likelihood
+        if abs(sigma - before) < SAME_SIGMA * before:
             break
     if likelihood <= at.log_likelihood:
         return at._replace(quiet=True), tangent
@@ -211,16 +230,16 @@ def _slack(prediction: np.ndarray, lo: np.ndarray, hi: np.ndarray) -> np.ndarray
     return np.minimum(prediction - lo, hi - prediction)
 
 
-def _least(slack: np.ndarray) -> np.ndarray | None:
-    """The values nearest to the ends of their intervals, None if that is all. Where rounding is all
-    the noise there is, the others are far inside and have no say."""
-    count = max(WALLS, len(slack) // 16)
+def _tightest(slack: np.ndarray) -> np.ndarray | None:
+    """Sorted indices of the values nearest to the ends of their intervals, None if that is all of
+    them. Where rounding is the only noise, the others are far inside and have no slope."""
+    count = max(TIGHTEST_VALUES, len(slack) // TIGHTEST_FRACTION)
     if len(slack) <= count:
         return None
-    # A sample says which may be among them: to sort all of them out takes ten times as long.
-    few = slack[::SAMPLED]
-    most = min(len(few) - 1, int(1.2 * count / SAMPLED) + 16)
-    near = np.flatnonzero(slack <= np.partition(few, most)[most])
+    # A sample bounds the slack of those among them: sorting all would take ten times as long.
+    sample = slack[::SLACK_STRIDE]
+    rank = min(len(sample) - 1, int(1.2 * count / SLACK_STRIDE) + 16)
+    near = np.flatnonzero(slack <= np.partition(sample, rank)[rank])
     if len(near) < count:
         near = np.arange(len(slack))
     return np.sort(near[np.argpartition(slack[near], count - 1)[:count]])

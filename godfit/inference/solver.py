@@ -21,15 +21,28 @@ from godfit.runtime.device import on_device
 from godfit.runtime.program_cache import cached_jit
 
 Switches = Bool[Array, " p"] | Bool[np.ndarray, " p"]
+"""Which coordinates move."""
 
 Scalar = Float[Array, ""] | np.float32
 
 MAX_ACTIVE_SET_ROUNDS = 6
+"""Solves with another set of coordinates on their bounds, at most, lest they go in circles."""
 MAX_STEPS = 12
-RTOL = 1e-5
+"""Steps of Levenberg-Marquardt, at most: they limit the time that a poor start takes."""
+SOLVER_RTOL = 1e-5
+"""Relative change of coordinates and deviance at which a solve ends: near the error of float32."""
 MAX_TANGENT_STEPS = 60
-# Gain in log-likelihood that is not worth another step on a tangent.
-ENOUGH = 1e-2
+"""Newton steps on a tangent, at most: a limit for likelihoods that are nearly flat."""
+TANGENT_GAIN = 1e-2
+"""Gain in log-likelihood below which no further step is taken on a tangent: a tenth of a standard
+error is 5e-3."""
+FIRST_DAMPING = 1e-2
+"""Damping of the first Newton step on a tangent, relative to least squares."""
+LEAST_DAMPING = 1e-6
+"""Damping that later steps fall to, at least: the matrix stays invertible in double precision."""
+STRAIGHT_GAIN = 0.7
+"""Share of the gain that the slope promises from which a step met no curvature: a whole Newton step
+gains half of it."""
 
 
 class Point(NamedTuple):
@@ -46,7 +59,7 @@ class Stop(NamedTuple):
     """When a solve stops: once no step changes coordinates (in their scales) or deviance by more
     than a share of ``rtol``, or after ``steps``."""
 
-    rtol: float = RTOL
+    rtol: float = SOLVER_RTOL
     steps: int = MAX_STEPS
 
 
@@ -175,10 +188,10 @@ def solve(
     bounded: bool = True,
     stop: Stop = STOP,
 ) -> Point:
-    """Minimise the deviance over the free coordinates from ``start`` (p,), next to noise of
-    ``sigma`` levels.
+    """Minimise the deviance over the free coordinates from ``start`` (p,), at a noise of ``sigma``
+    levels.
 
-    The solution lies inside the model's bounds. Far from the answer bounds can be switched off: the
+    The solution lies inside the model's bounds. Far from the answer bounds can be switched off: a
     path may lead outside, where the sum is as smooth.
     """
     model, held = problem.model, problem.held
@@ -206,12 +219,12 @@ def solve(
 def solve_tangent(
     start: np.ndarray, problem: Problem, tangent: Tangent, intervals: Intervals, sigma: float
 ) -> Point:
-    """The likeliest coordinates inside the bounds on the ``tangent`` at ``start``: a concave
-    problem in a few unknowns.
+    """The coordinates of largest likelihood inside the bounds on the ``tangent`` at ``start``.
+    This is a concave problem in a few unknowns.
 
-    Newton's method, damped by what least squares knows (the likelihood is flat inside the intervals
-    and steep outside) and projected onto the bounds: a coordinate on its bound with a slope
-    outwards stays there (Bertsekas, SIAM J. Control Optim. 20 (1982), 221).
+    Newton's method is damped by the matrix of least squares, as the likelihood is flat inside the
+    intervals and steep outside. It is projected onto the bounds: a coordinate on its bound with a
+    slope outwards stays there (Bertsekas, SIAM J. Control Optim. 20 (1982), 221).
     """
     prediction, jacobian, scale = tangent
     lo, hi, foreign = intervals
@@ -222,16 +235,16 @@ def solve_tangent(
     lower, upper = ((b - start) / scale for b in bounds)
     width = np.asarray(hi) - np.asarray(lo)
     rounding = width[np.isfinite(width)].max(initial=0) ** 2 / 12
-    # The identity on top keeps coordinates in place that the picture does not determine.
+    # The identity on top holds coordinates that the picture does not determine.
     least_squares = np.asarray(_gram(slopes), np.float64) / (sigma**2 + rounding)
-    still, size = 1.0, np.sqrt(np.diag(least_squares) + 1)
+    regular, size = 1.0, np.sqrt(np.diag(least_squares) + 1)
 
     def at(step):
         found = _on_tangent(step.astype(np.float32), *values)
         found = np.asarray(found, np.float64)
         return found[0, 0], found[1], found[2:]
 
-    step, damping, settled, steps = np.zeros(len(start)), 1e-2, False, 0
+    step, damping, settled, steps = np.zeros(len(start)), FIRST_DAMPING, False, 0
     likelihood, slope, curvature = at(step)
     if not all(np.isfinite(z).all() for z in (likelihood, slope, curvature, least_squares)):
         return Point(start, np.inf, False, 0)
@@ -242,7 +255,7 @@ def solve_tangent(
         if not len(moving):
             settled = True
             break
-        damped = curvature + damping * least_squares + still * np.eye(len(start))
+        damped = curvature + damping * least_squares + regular * np.eye(len(start))
         damped /= np.outer(size, size)
         move = np.zeros(len(start))
         pull = slope[moving] / size[moving]
@@ -251,14 +264,14 @@ def solve_tangent(
         promised = float(slope @ (trial - step))
         found = at(trial)
         if found[0] >= likelihood:
-            if found[0] - likelihood > 0.7 * promised:
-                # As much as the slope says, where a whole step gains half: no curvature ended it.
-                still /= 10
+            if found[0] - likelihood > STRAIGHT_GAIN * promised:
+                # The step met no curvature: the regularisation ended it, and is reduced.
+                regular /= 10
             step, (likelihood, slope, curvature) = trial, found
-            damping = max(damping / 10, 1e-6)
+            damping = max(damping / 10, LEAST_DAMPING)
         else:
             damping = 4 * damping
-        settled = promised < ENOUGH
+        settled = promised < TANGENT_GAIN
     z = np.clip(start + step * scale, *bounds)
     return Point(z.astype(np.float32), -float(likelihood), settled, steps)
 
@@ -271,19 +284,19 @@ def _slope(prediction, jacobian, intervals, sigma):
 
 
 def _inside(start, problem, run, slope) -> Point:
-    """``run`` again and again with fewer or more coordinates moving, until all are in bounds.
+    """``run`` repeatedly with fewer or more coordinates moving, until all are in bounds.
 
     A coordinate that a run takes out of its bounds is put on the bound and stays there for the next
-    one: a true value can lie *on* a bound, which a sigmoid could never reach.
+    run. A true value can lie *on* a bound, which a sigmoid could never reach.
     """
     free, (lower, upper) = problem.free, problem.bounds
 
-    def inward(z, of):
-        falls = np.asarray(slope(z)) if of.any() else np.zeros_like(z)
-        return of & (((z <= lower) & (falls < 0)) | ((z >= upper) & (falls > 0)))
+    def inward(z, among):
+        falls = np.asarray(slope(z)) if among.any() else np.zeros_like(z)
+        return among & (((z <= lower) & (falls < 0)) | ((z >= upper) & (falls > 0)))
 
     z = np.clip(np.asarray(start, np.float32), lower, upper)
-    # What would leave at once need not be seen to.
+    # A coordinate on its bound that would leave it at once is held from the start.
     bound = free & ((z <= lower) | (z >= upper))
     moving = free & (~bound | inward(z, bound))
     released, steps = False, 0
@@ -298,7 +311,8 @@ def _inside(start, problem, run, slope) -> Point:
         if out.any():
             moving = moving & ~out
             continue
-        # Released ones get no second chance to leave: that would go round for ever.
+        # A coordinate is released once only: it would go in circles otherwise.
+
         back = inward(z, free & ~moving & (not released))
         if not back.any():
             break

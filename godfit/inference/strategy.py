@@ -1,7 +1,8 @@
-"""How a model is searched for: registered by model type in the rooms that search.
+"""Search strategies by type of model, registered in the rooms that search.
 
-A model knows no search, and ``fitting`` names no model. Each function here is a generic
-(``functools.singledispatch`` on its first argument) that a search room extends for its models.
+A model does not depend on its search, and ``fitting`` names no model. Each function here is a
+generic (``functools.singledispatch`` on its first argument) that a search room extends for its
+models.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ several is ahead."""
 
 
 class Effort(NamedTuple):
-    """How much work a search is worth: whether to ``inquire`` into what may be wrong, and how many
-    values (pixels times channels) decide; ``report`` is called with a line for every stage."""
+    """The effort of a search: whether to ``inquire`` into what may be wrong, and how many values
+    (pixels times channels) are fitted; ``report`` is called with a line for every stage."""
 
     inquire: bool = True
     max_values: int = MAX_VALUES
@@ -51,18 +52,18 @@ def starts(
     model: AbstractModel, picture: Picture, given: dict[str, float], *, keep: int, seed: int
 ) -> list[np.ndarray]:
     """The ``keep`` best starting points (p,) in the model's coordinates, best first. Parameters in
-    ``given`` are taken as they are."""
+    ``given`` are held at their values."""
     raise TypeError(f"no starts are registered for {type(model).__name__}")
 
 
-STARTS = 6
+SEARCH_STARTS = 6
 """Starting points of a search: stages drop those that fall behind, so that more cost little."""
 
 
 def starting_points(problem: Problem, given: dict[str, float]) -> list[np.ndarray]:
-    """Where the search of a problem begins, best first."""
+    """The SEARCH_STARTS best starting points (p,) of a problem's search, best first."""
     small = problem.picture.small
-    return starts(problem.model, small, given, keep=STARTS, seed=problem.seed)
+    return starts(problem.model, small, given, keep=SEARCH_STARTS, seed=problem.seed)
 
 
 @functools.singledispatch
@@ -82,7 +83,7 @@ class Open(NamedTuple):
 
 @functools.singledispatch
 def left_open(model: AbstractModel, problem: Problem) -> Open | None:
-    """What the picture leaves open whatever it shows; None if that is nothing."""
+    """The coordinate that no picture determines under this model; None if there is none."""
     return None
 
 

@@ -1,4 +1,4 @@
-"""Variable projection: what an image is linear in is solved for exactly.
+"""Variable projection: coordinates in which an image is linear are solved for exactly.
 
 A search then moves the other coordinates alone (Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973),
 413). Amplitudes of light are never negative.
@@ -40,7 +40,7 @@ def nonnegative_one(product: Any, square: Any) -> Any:
 def nonnegative_two(
     square: Any, products: tuple[Any, Any], squares: tuple[Any, Any], both: Any
 ) -> tuple[Any, Any, Any]:
-    """Amplitudes of two components, none below zero, and the sum of squares that they leave;
+    """Amplitudes of two components, none below zero, and the remaining sum of squares;
     elementwise.
 
     ``square`` is the target's sum of squares, ``products`` are the components' inner products with
@@ -54,5 +54,5 @@ def nonnegative_two(
     g = (ts - jnp.maximum(e, 0) * both) / jnp.maximum(ss, tiny)
     e = jnp.where(g < 0, to / jnp.maximum(oo, tiny), jnp.maximum(e, 0.0))
     g = jnp.maximum(g, 0.0)
-    left = square - 2 * (e * to + g * ts) + e * e * oo + 2 * e * g * both + g * g * ss
-    return e, g, left
+    remaining = square - 2 * (e * to + g * ts) + e * e * oo + 2 * e * g * both + g * g * ss
+    return e, g, remaining

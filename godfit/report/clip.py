@@ -1,4 +1,4 @@
-"""What a clip's fit leaves: its table, fit.json, and fit.png with the light's path."""
+"""The result of a clip's fit: its table, fit.json, and fit.png with the light's path."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 
 class Frame(NamedTuple):
-    """What one frame alone says: its ``light`` (2,) with standard errors ``error`` (2,) and
-    ``params`` of the scattering; ``message`` says why it is left out, "" where it is not.
+    """The fit of one frame alone: its ``light`` (2,) with standard errors ``error`` (2,) and
+    ``params`` of the scattering. ``message`` says why it is left out, "" where it is not.
     ``combined`` is as in ``FitResult``."""
 
     name: str
@@ -34,9 +34,9 @@ class Frame(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ClipResult:
-    """What a clip says: ``params`` of the shader with their ``covariance`` (6, 6; NaN where held,
-    open, or a light's), ``frames`` in their order, ``shown`` (h, w, 3) a small copy of the
-    first."""
+    """The result of a clip's fit: ``params`` of the shader with their ``covariance`` (6, 6; NaN
+    where held, open, or a light's), ``frames`` in their order, ``shown`` (h, w, 3) a small copy of
+    the first."""
 
     converged: bool
     message: str
@@ -56,11 +56,11 @@ class ClipResult:
         return _summary(self)
 
     def record(self, command: str = "") -> dict[str, Any]:
-        """What fit.json holds."""
+        """The contents of fit.json."""
         return _record(self, command)
 
     def plot(self) -> Figure:
-        """A matplotlib figure: the light's path, and what each frame says of the shader."""
+        """A matplotlib figure: the light's path, and the shader of each frame alone."""
         return _plot(self)
 
     def save(self, folder: str | os.PathLike[str], command: str = "") -> None:
@@ -121,25 +121,25 @@ def _record(result: ClipResult, command: str) -> dict[str, Any]:
 
 
 def _plot(result: ClipResult) -> Figure:
-    """The light's path over the first frame, and each parameter as every frame has it alone, with
-    a band for all together."""
+    """The light's path over the first frame, and each parameter as fitted to every frame alone,
+    with a band for all of them together."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     height, width = result.shown.shape[:2]
     every = result.params | result.combined
-    told = {name: e for name, e in every.items() if e.stderr is not None}
+    determined = {name: e for name, e in every.items() if e.stderr is not None}
     tall = 4.6 * min(max(height / width, 0.4), 1.5)
-    figure = Figure(figsize=(5.6 + 2.6 * max(len(told), 1), tall + 0.9), layout="constrained")
+    figure = Figure(figsize=(5.6 + 2.6 * max(len(determined), 1), tall + 0.9), layout="constrained")
     FigureCanvasAgg(figure)
-    ratios = [5.2] + [2.6] * len(told)
-    axes = figure.subplots(1, 1 + len(told), squeeze=False, width_ratios=ratios)[0]
+    ratios = [5.2] + [2.6] * len(determined)
+    axes = figure.subplots(1, 1 + len(determined), squeeze=False, width_ratios=ratios)[0]
     axes[0].imshow(result.shown, extent=(0, 1, 0, 1), aspect=height / width)
     _path(axes[0], result)
     axes[0].set_title("the light's path, over the first frame", fontsize=10)
     places = np.arange(1, len(result.frames) + 1)
     used = np.array([not f.message for f in result.frames])
-    for panel, (name, whole) in zip(axes[1:], told.items(), strict=True):
+    for panel, (name, whole) in zip(axes[1:], determined.items(), strict=True):
         alone = [(f.params | f.combined)[name] for f in result.frames]
         values = np.array([e.value for e in alone])
         errors = np.array([e.stderr or np.nan for e in alone])
@@ -152,7 +152,7 @@ def _plot(result: ClipResult) -> Figure:
         low, high = whole.value - 1.96 * whole.stderr, whole.value + 1.96 * whole.stderr
         panel.axhspan(low, high, color="tab:orange", alpha=0.4, lw=0)
         reaches = np.abs(values - whole.value) + 1.96 * np.nan_to_num(errors)
-        # Frames that know next to nothing of it do not set the scale.
+        # Frames with very large errors do not set the scale.
         reach = max(1.2 * float(np.median(reaches[used])) if used.any() else 0.0, 8 * whole.stderr)
         panel.set_ylim(whole.value - reach, whole.value + reach)
         panel.set_title(f"{name}\n{number(whole.value, whole.stderr)} ± {whole.stderr:.2g}")

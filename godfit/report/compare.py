@@ -1,4 +1,4 @@
-"""What ``godfit compare`` leaves: its table, compare.json and compare.png."""
+"""The result of ``godfit compare``: its table, compare.json and compare.png."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Row:
-    """One model fitted. ``parameters`` counts what was fitted and is determined, the noise too."""
+    """A fitted model. ``parameters`` counts the numbers that were fitted and are determined, the
+    noise among them."""
 
     name: str
     result: FitResult
@@ -45,21 +46,25 @@ class Comparison:
 
     @property
     def sentence(self) -> str:
-        """What the picture says about the models, in words."""
+        """A sentence: which model the criteria prefer, and by how much."""
         best = self.best
         model = best.result.model.name
         others = [row for row in self.rows if row.result.model.name != model]
         if not others:
             return f"{best.name} has the lowest BIC"
         ahead = others[0].bic - best.bic
-        said = f"{best.name} is preferred: its BIC is {ahead:.4g} below that of {others[0].name}"
+        sentence = (
+            f"{best.name} is preferred: its BIC is {ahead:.4g} below that of {others[0].name}"
+        )
         if ahead < CLEAR:
-            said = f"{best.name} and {others[0].name} explain it alike: BIC differs by {ahead:.2g}"
+            sentence = (
+                f"{best.name} and {others[0].name} explain it alike: BIC differs by {ahead:.2g}"
+            )
         if not best.result.converged:
-            said += (
+            sentence += (
                 f"; neither leaves only noise ({best.result.rmse_levels:.2f} levels rms are left)"
             )
-        return said
+        return sentence
 
     def summary(self) -> str:
         """A plain-text table."""
@@ -81,7 +86,7 @@ class Comparison:
         return "\n".join(lines)
 
     def record(self, command: str = "") -> dict[str, Any]:
-        """What compare.json holds."""
+        """The contents of compare.json."""
         return _record(self, command)
 
     def plot(self) -> Figure:

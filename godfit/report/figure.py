@@ -14,33 +14,39 @@ if TYPE_CHECKING:
 
     from godfit.report.result import FitResult
 
-# Pixels of a panel's longer side, at most.
-SHOWN = 1024
+PANEL_PIXELS = 1024
+"""Pixels of a panel's longer side, at most: the figure has no more for it."""
+LIMIT_QUANTILE = 0.998
+"""Quantile of the residual's size at which its colours end: single pixels do not set the scale."""
+LEAST_LIMIT = 0.5
+"""Levels at which the residual's colours end, at least: less is rounding."""
 
 
 def plot(result: FitResult) -> Figure:
     """Target, fitted and residual side by side, the light marked, the parameters below."""
-    # Without pyplot: no window system is asked for, and nothing has to be closed.
+    # Without pyplot: it would open a window system, and its figures have to be closed.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     picture = result.picture
     height, width = picture.size
-    # More than the panels have pixels to show would only take memory.
-    few = (slice(None, None, -(-max(height, width) // SHOWN)),) * 2
-    residual = worst_channel(result.residual[few])
+    # More pixels than the panels have would only take memory.
+    subsampled = (slice(None, None, -(-max(height, width) // PANEL_PIXELS)),) * 2
+    residual = worst_channel(result.residual[subsampled])
     known = np.abs(residual[np.isfinite(residual)])
-    limit = max(0.5, float(np.quantile(known, 0.998))) if known.size else 0.5
-    fitted = np.asarray(encode(result.render()[few], picture.transfer))
-    target = picture.levels[few] / np.float32(LEVELS)
+    limit = LEAST_LIMIT
+    if known.size:
+        limit = max(LEAST_LIMIT, float(np.quantile(known, LIMIT_QUANTILE)))
+    fitted = np.asarray(encode(result.render()[subsampled], picture.transfer))
+    target = picture.levels[subsampled] / np.float32(LEVELS)
     panels = [
         ("target", target if target.shape[-1] == 3 else target[..., 0]),
         ("fitted", fitted),
         ("fitted - target, levels", residual),
     ]
     if picture.foreign:
-        # Nobody gave a mask: what the light pass is taken to read, faint things brightened.
-        panels.insert(1, ("mask as understood, square root", np.sqrt(result.mask[few])))
+        # No mask was given: the estimated one is shown. The square root brightens faint parts.
+        panels.insert(1, ("estimated mask, square root", np.sqrt(result.mask[subsampled])))
     # Laid out by hand, in inches: matplotlib's own layout draws everything several times over.
     lines = -(-len(result.params) // 2) + len(_remarks(result)) + 1
     wide, tall, gap = 4.0, 4.0 * min(max(height / width, 0.3), 2.0), 0.45
@@ -90,7 +96,7 @@ def plot(result: FitResult) -> Figure:
 
 
 def worst_channel(residual: np.ndarray) -> np.ndarray:
-    """(h, w) the channel that is farthest off in every pixel, with its sign."""
+    """(h, w) residual of the channel with the largest error in every pixel, with its sign."""
     if residual.ndim == 2:
         return residual
     worst = np.nan_to_num(np.abs(residual)).argmax(-1)
@@ -130,6 +136,6 @@ def _write_parameters(axes, result: FitResult) -> None:
 
 
 def _remarks(result: FitResult) -> list[str]:
-    """What is open, what may be wrong, and why it is not to be believed, a line each."""
+    """Sentences: what is open, what may be wrong, and why the fit did not converge."""
     remarks = [*result.undetermined, *result.warnings]
     return remarks + ([] if result.converged else [result.message])

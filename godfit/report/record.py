@@ -1,4 +1,4 @@
-"""fit.json, written and read: a fit as a record, and the model and images that a record names."""
+"""fit.json: a fit as a record, and the model and images that a record names."""
 
 from __future__ import annotations
 
@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from godfit.report.result import FitResult
 
 SCHEMA = 1
-SETTINGS = ("model", "shader", "samples", "rays", "phase", "fov", "distance")
+"""Version of fit.json's layout: it grows with every change that breaks readers."""
+MODEL_SETTINGS = ("model", "shader", "samples", "rays", "phase", "fov", "distance")
+"""Keys of fit.json that describe the model and are not fitted."""
 
 
 def fit_record(result: FitResult, command: str = "") -> dict[str, Any]:
@@ -76,15 +78,16 @@ def estimate(e: Estimate) -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Of the program and what its numbers come from."""
+    """Versions of the program and of the packages that its numbers depend on."""
     names = ("godfit", "jax", "jaxlib", "equinox", "optimistix", "numpy")
     return {"python": platform.python_version()} | {n: metadata.version(n) for n in names}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Recorded:
-    """``mask`` (h, w) or (h, w, 3) is what the light pass reads, at its own size; ``size`` is the
-    picture's (rows, columns); ``notes`` say what is not as it was."""
+    """A model and its images, from a fit.json. ``mask`` (h, w) or (h, w, 3) is the occlusion that
+    the light pass reads, at its own size; ``size`` is the picture's (rows, columns); ``notes`` name
+    the inputs that have changed since."""
 
     model: Mitchell
     mask: np.ndarray
@@ -113,7 +116,7 @@ def read_params(path: str) -> dict[str, Any]:
     """Shader, samples and parameters of a fit.json."""
     record = read_record(path)
     return {
-        **{key: record[key] for key in SETTINGS if key in record},
+        **{key: record[key] for key in MODEL_SETTINGS if key in record},
         **{name: entry["value"] for name, entry in record["params"].items()},
     }
 
@@ -125,8 +128,8 @@ def recorded(
     scene: str | None = None,
     background: str | None = None,
 ) -> Recorded:
-    """The fit in the file ``path``; its images are those given, or those at the paths in it, as
-    seen from the working folder. Raises InputError where they cannot be found or do not fit."""
+    """The fit in the file ``path``. Its images are those given, or those at the paths in it,
+    relative to the working folder. Raises InputError where they cannot be found or do not fit."""
     record, settings, notes = read_record(path), read_params(path), []
     if settings.get("model", Mitchell.name) != Mitchell.name:
         raise InputError(f"'{path}': expected a fit of mitchell, got {settings['model']}")
@@ -152,7 +155,7 @@ def recorded(
     if place is not None:
         image = read_image(place)
         if mask is None and image.sha256 != files["mask"].get("sha256", image.sha256):
-            notes.append(f"mask: '{place}' is not what it was when the fit was made")
+            notes.append(f"mask: '{place}' has changed since the fit was made")
         occlusion = image.values
     elif stage is not None:
         drawn = read_scene(stage)

@@ -1,4 +1,4 @@
-"""What a fit found: values, errors, what is left open, and the pictures that go with them."""
+"""The result of a fit: values, errors, open parameters, and the pictures that go with them."""
 
 from __future__ import annotations
 
@@ -27,19 +27,20 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FitResult:
-    """What the picture says. Arrays are (h, w) or (h, w, 3); levels are 8-bit levels.
+    """The result of a fit. Arrays are (h, w) or (h, w, 3); levels are 8-bit levels.
 
-    ``combined`` has the product that is known even where its factors are not,
+    ``combined`` has the product that is determined even where its factors are not,
     ``"exposure*weight"``. ``covariance`` is that of the parameters in the order of ``params`` (NaN
-    where held); ``correlations`` keeps the pairs above 0.1 in size, largest first;
-    ``undetermined`` names in words what the picture leaves open, ``warnings`` why the model may be
-    the wrong one.
-    ``pixels_effective`` is how many independent pixels say as much: fewer than ``pixels`` where
-    their errors are correlated. ``starts_agreed`` is (agreeing, tried) where other starts were
-    tried. ``noise_levels`` is the standard deviation of the noise
-    before rounding; ``residual_correlation`` is that of neighbouring residuals, near 0 for noise,
-    ``residual_tails`` their kurtosis, near 3 for Gaussian noise. ``simulated``: values and errors
-    allow for what the target went through, see ``indirect.py``, which the likelihood does not.
+    where held). ``correlations`` keeps the pairs above 0.1 in size, largest first.
+    ``undetermined`` has a sentence for each group of parameters that the picture leaves open,
+    ``warnings`` a sentence for each reason why the model may be wrong.
+    ``pixels_effective`` is the number of independent pixels: fewer than ``pixels`` where their
+    errors are correlated. ``starts_agreed`` is (agreeing, tried) where other starts were tried.
+    ``noise_levels`` is the standard deviation of the noise before rounding.
+    ``residual_correlation`` is that of neighbouring residuals, near 0 for noise,
+    ``residual_tails`` their kurtosis, near 3 for Gaussian noise. With ``simulated``, values and
+    errors allow for the target's processing, see ``inference/indirect_inference.py``; the
+    likelihood does not.
     """
 
     converged: bool
@@ -63,7 +64,7 @@ class FitResult:
     log_likelihood: float
     timing_s: dict[str, float]
     picture: Picture
-    # By coordinate: which moved, and where the rest of the parameters were held (NaN if free).
+    # By coordinate: which moved, and at what value the other parameters were held (NaN if free).
     free: np.ndarray
     held: np.ndarray
     seed: int = 0
@@ -73,7 +74,7 @@ class FitResult:
 
     @property
     def problem(self) -> Problem:
-        """What was solved, with the coordinates that the picture leaves open held."""
+        """The problem that was solved, with the coordinates that the picture leaves open held."""
         return Problem(self.model, self.picture, self.free, self.held, self.seed)
 
     @functools.cached_property
@@ -102,7 +103,7 @@ class FitResult:
         return summary(self)
 
     def record(self, command: str = "") -> dict[str, Any]:
-        """What fit.json holds; numbers that are not finite are null."""
+        """The contents of fit.json; numbers that are not finite are null."""
         return fit_record(self, command)
 
     def plot(self) -> Figure:

@@ -1,4 +1,4 @@
-"""What ``godfit select`` leaves: its table, select.json and select.png."""
+"""The result of ``godfit select``: its table, select.json and select.png."""
 
 from __future__ import annotations
 
@@ -25,9 +25,8 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Rung:
-    """A model fitted. ``shows`` says what it has that the rung below has not; ``parameters`` counts
-    what was fitted, the noise too. ``free`` and ``held`` are (p,), as in ``FitResult``; ``samples``
-    is None where there are none."""
+    """A fitted model. ``shows`` names what it has beyond the rung below; ``parameters`` counts the
+    fitted numbers, the noise among them. ``free`` and ``held`` are (p,), as in ``FitResult``."""
 
     name: str
     shows: str
@@ -47,8 +46,8 @@ class Rung:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Row:
-    """One rung judged. ``held_out`` is the log-likelihood of a value that was not fitted;
-    ``behind`` how much less that is than the best rung's, and ``behind_error`` its error."""
+    """A rung with its criteria. ``held_out`` is the log-likelihood per value that was not fitted;
+    ``behind`` is how much less that is than the best rung's, and ``behind_error`` its error."""
 
     rung: Rung
     rmse: float
@@ -62,8 +61,9 @@ class Row:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Selection:
-    """Rows from least to most. ``equivalent`` are shaders, with their parameters, that draw the
-    same picture as the recommended one; ``base`` is the fit of the whole shader."""
+    """Rows from the smallest model to the largest. ``equivalent`` are shaders, with their
+    parameters, that draw the same picture as the recommended one; ``base`` is the fit of the whole
+    shader."""
 
     rows: tuple[Row, ...]
     chosen: int
@@ -78,19 +78,19 @@ class Selection:
 
     @property
     def sentence(self) -> str:
-        """What the picture shows, and what it does not."""
+        """A sentence: what the picture shows, and what it does not show."""
         row = self.recommended
         shown = [r.rung.shows for r in self.rows[1 : self.chosen + 1] if r.rung.shows]
         hidden = [r.rung.shows for r in self.rows[self.chosen + 1 :] if r.rung.shows]
-        said = f"'{row.rung.name}' is enough: "
-        said += f"the picture shows {_joined(shown)}" if shown else "the picture shows no rays"
+        sentence = f"'{row.rung.name}' is enough: "
+        sentence += f"the picture shows {_joined(shown)}" if shown else "the picture shows no rays"
         if hidden:
-            said += f"; it does not show {_joined(hidden, 'or')}"
+            sentence += f"; it does not show {_joined(hidden, 'or')}"
         if not row.like_noise:
-            said += f"; no rung leaves only noise ({row.rmse:.2f} levels rms are left)"
+            sentence += f"; no rung leaves only noise ({row.rmse:.2f} levels rms are left)"
         if self.daylight is not None and self.prefers_daylight:
-            said += "; Hoffman and Preetham's daylight explains it better than any of them"
-        return said
+            sentence += "; Hoffman and Preetham's daylight explains it better than any of them"
+        return sentence
 
     @property
     def prefers_daylight(self) -> bool:
@@ -125,11 +125,11 @@ class Selection:
         return "\n".join(lines)
 
     def record(self, command: str = "") -> dict[str, Any]:
-        """What select.json holds."""
+        """The contents of select.json."""
         return _record(self, command)
 
     def plot(self) -> Figure:
-        """The target, what every rung leaves of it, and what is left against the unknowns."""
+        """The target, the residual of every rung, and the criteria over the unknowns."""
         return _plot(self)
 
     def save(self, folder: str | os.PathLike[str], command: str = "") -> None:
@@ -171,7 +171,7 @@ def _record(found: Selection, command: str) -> dict[str, Any]:
 
 
 def _plot(found: Selection) -> Figure:
-    """The target, what every rung leaves of it, and what is left against the unknowns."""
+    """The target, the residual of every rung, and the criteria over the unknowns."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -189,11 +189,11 @@ def _plot(found: Selection) -> Figure:
     axes[0].imshow(target[::step, ::step])
     axes[0].set_title("target", fontsize=9)
     residuals = [_residual(row.rung, picture) for row in rows]
-    # The same colours for all: what the recommended one leaves must be seen as well.
+    # The same colours for all: the recommended one's residual must be visible as well.
     limit = max(1.0, 3 * rows[found.chosen].rmse)
-    for i, (panel, row, left) in enumerate(zip(axes[1:], rows, residuals, strict=True)):
+    for i, (panel, row, residual) in enumerate(zip(axes[1:], rows, residuals, strict=True)):
         shown = panel.imshow(
-            worst_channel(left)[::step, ::step], cmap="RdBu_r", vmin=-limit, vmax=limit,
+            worst_channel(residual)[::step, ::step], cmap="RdBu_r", vmin=-limit, vmax=limit,
             interpolation="nearest",
         )  # fmt: skip
         bold = "bold" if i == found.chosen else "normal"
@@ -222,9 +222,9 @@ def _residual(rung: Rung, picture: Picture) -> np.ndarray:
         drawn = np.full(picture.levels.shape, rung.values["veil"], np.float32)
     else:
         drawn = picture.rendered(rung.model)
-    left = np.where(picture.clipped[..., None], 0, drawn - picture.levels)
-    left = np.where(picture.valid[..., None], left, np.nan)
-    return left if picture.channels == 3 else left[..., 0]
+    residual = np.where(picture.clipped[..., None], 0, drawn - picture.levels)
+    residual = np.where(picture.valid[..., None], residual, np.nan)
+    return residual if picture.channels == 3 else residual[..., 0]
 
 
 def _joined(words: list[str], last: str = "and") -> str:

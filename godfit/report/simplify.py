@@ -1,4 +1,4 @@
-"""What fewer samples come to: a sentence, settings to paste, JSON."""
+"""The result of ``godfit simplify``: a sentence, settings to paste, JSON."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from godfit.models.mitchell import Mitchell
 class Simpler:
     """The cheapest setting found: ``scale`` is that of the light pass's sides. ``worst`` and
     ``rms`` are its error in levels against ``full``; ``saving`` is how many times fewer taps a
-    picture takes. ``tolerance`` is what was allowed, of the error that ``by`` names, "worst" or
-    "rms"."""
+    picture takes. ``tolerance`` is the error allowed, in levels, of the kind that ``by`` names,
+    "worst" or "rms"."""
 
     full: Mitchell
     model: Mitchell
@@ -26,27 +26,27 @@ class Simpler:
 
     @property
     def sentence(self) -> str:
-        """What the picture needs, in words."""
-        few, many = self.model.samples, self.full.samples
+        """A sentence: how many samples the picture needs."""
+        needed, given = self.model.samples, self.full.samples
         if self.saving == 1:
-            return f"this picture needs all of its {many} samples"
-        said = f"this picture needs {few} samples, not {many}"
-        if few == many:
-            said = f"this picture needs its {many} samples"
+            return f"this picture needs all of its {given} samples"
+        sentence = f"this picture needs {needed} samples, not {given}"
+        if needed == given:
+            sentence = f"this picture needs its {given} samples"
         if self.scale < 1:
-            said += f", and a light pass of {self.scale:g} times the sides"
-        return f"{said}: {self.saving:.3g} times fewer taps"
+            sentence += f", and a light pass of {self.scale:g} times the sides"
+        return f"{sentence}: {self.saving:.3g} times fewer taps"
 
     def summary(self) -> str:
         """The sentence, and what to paste into the shader."""
-        said = f"off by {self.worst:.3g} levels at most, {self.rms:.3g} rms"
+        sentence = f"off by {self.worst:.3g} levels at most, {self.rms:.3g} rms"
         settings = [("samples", str(self.model.samples))]
         settings += [(name, f"{value:.9g}") for name, value in _numbers(self.model).items()]
         if self.scale < 1:
             settings.append(("pass scale", f"{self.scale:g}"))
         wide = max(len(name) for name, _ in settings)
         lines = [f"  {name:<{wide}} = {value}" for name, value in settings]
-        return "\n".join([self.sentence, f"  ({said})", "", *lines])
+        return "\n".join([self.sentence, f"  ({sentence})", "", *lines])
 
     def record(self, command: str = "") -> dict[str, Any]:
         """What ``godfit simplify --json`` prints; ``godfit render --params`` reads it."""

@@ -1,4 +1,4 @@
-"""A fit as text, as JSON, as a figure, as files."""
+"""A fit as text: tables and sentences."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def number(value: float, stderr: float | None) -> str:
-    """A value to the digits that its error leaves it, at least four and at most nine."""
+    """A value with the digits that its error warrants, at least four and at most nine."""
     if stderr is None or not stderr > 0 or value == 0:
         return f"{value:.6g}"
     digits = math.floor(math.log10(abs(value))) - math.floor(math.log10(stderr)) + 2
@@ -42,7 +42,7 @@ def _remark(e: Estimate) -> str:
 
 
 def given(model: AbstractModel) -> str:
-    """What was not fitted, in words."""
+    """The settings of a model, which are not fitted, in words."""
     return ", ".join(
         f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
         for name, value in model.settings.items()

@@ -1,4 +1,4 @@
-"""What the settled fit is worth: values, errors, what is open, and whether to believe it."""
+"""The result of a settled fit: values, errors, open parameters, and whether it converged."""
 
 from __future__ import annotations
 
@@ -18,53 +18,61 @@ from godfit.inference.solver import tangent_at
 from godfit.io.image import LEVELS
 from godfit.report.result import FitResult
 
-# Error of the light's place, as a share of the picture, that is no place.
-ANYWHERE = 0.1
-FROM_ANYWHERE = (
-    "no rays were found: what may be light comes from {:.2f} +- {:.2f}, {:.2f} +- {:.2f} of the "
-    "picture, which is from anywhere"
+UNDETERMINED_PLACE = 0.1
+"""Standard error of the light's position, as a share of the picture, from which it is
+undetermined."""
+NO_POSITION = (
+    "no rays were found: the position of the light is undetermined ({:.2f} +- {:.2f}, "
+    "{:.2f} +- {:.2f} of the picture)"
 )
-# Times over that a picture says the same, least, that is a line of pixels, repeated.
-A_LINE = 16
+"""Message with the position (u, v) of the light and its standard errors."""
+LINE_REPEATS = 16
+"""Times that a line of pixels is repeated, at least, for the picture to be one line."""
+COARSE_NOISE = 1.0
+"""Noise in levels from which a fit is diagnosed even where its residual resembles noise."""
 STRUCTURED = (
-    "what is left is not noise ({:.2f} levels, neighbours correlated by {:.2f}): background or "
-    "occluders are more than the model has"
+    "the residual is not noise ({:.2f} levels, neighbours correlated by {:.2f}): background or "
+    "occluders differ from the model"
 )
+"""Remark with the noise in levels and the correlation."""
+LEAST_VARIANCE = 1e-30
+"""Stands for a variance of zero in a ratio."""
+LEAST_CORRELATION = 0.1
+"""Correlation of two parameters, in size, from which it is reported."""
 
 
 class Spread(NamedTuple):
     """``covariance`` (p, p) of the coordinates, zero for those that are not free; how many pixels
-    each independent one stands for, ``growth``, and each of the light pass, ``upsampled``; what may
-    be wrong, and how unlike noise what is left is."""
+    each independent one stands for, ``growth``; how many pixels each of the light pass stands for,
+    ``upsampled``; possible defects, ``suspects``; and the ``residual_misfit``."""
 
     covariance: np.ndarray
     growth: float
     upsampled: float
     suspects: list[diagnostics.Suspect]
-    left: Misfit
+    residual_misfit: Misfit
 
 
 def spread(found: Found) -> Spread:
-    """How well the coordinates are known, all that is known to be correlated or doubtful counted
-    in."""
-    left = misfit(found.evidence.prediction, found.observation)
+    """The covariance of the coordinates, with known correlation and known doubts included."""
+    residual_misfit = misfit(found.evidence.prediction, found.observation)
     if found.scatter is not None:
         known = found.evidence.covariance(found.problem.free)
         grown = _growth(found.scatter, known, found.problem.free)
         block = diagnostics.jpeg(found.problem.picture)
-        return Spread(found.scatter, grown, 1.0, [] if block is None else [block], left)
-    # The pixels of an upsampled pass share its texels and say no more than these.
+        return Spread(found.scatter, grown, 1.0, [] if block is None else [block], residual_misfit)
+    # The pixels of an upsampled pass share its texels: they are no more independent than these.
     upsampled = float(
         np.prod(found.problem.picture.size) / np.prod(found.problem.picture.mask.shape[:2])
     )
     covariance, growth, suspects = _correlated(
-        found, found.evidence.covariance(found.problem.free), left
+        found, found.evidence.covariance(found.problem.free), residual_misfit
     )
     covariance = covariance * max(1.0, upsampled / growth)
     for shift in found.shifts:
         covariance += np.outer(shift, shift)
     growth = max(growth, upsampled, found.problem.picture.repeats)
-    return Spread(covariance, growth, upsampled, suspects, left)
+    return Spread(covariance, growth, upsampled, suspects, residual_misfit)
 
 
 def verdict(
@@ -76,54 +84,56 @@ def verdict(
     """The result of a fit; ``notes`` and ``files`` are those of its inputs, ``timing`` seconds."""
     problem, settled, at = found.problem, found.settled, found.evidence
     picture, pixels = problem.picture, np.asarray(found.observation.pixels)
-    errs = spread(found)
-    left = errs.left
+    uncertainty = spread(found)
+    residual_misfit = uncertainty.residual_misfit
     solution = Solution(
-        settled.coordinates, errs.covariance, problem.free, problem.held, found.opened
+        settled.coordinates, uncertainty.covariance, problem.free, problem.held, found.opened
     )
-    told = estimates(problem.model, solution, problem.model.used)
+    estimated = estimates(problem.model, solution, problem.model.used)
     objection = found.objection
     if picture.foreign and not objection:
-        objection = _from_anywhere(found.starts_agreed, told.params)
+        objection = _undetermined_place(found.starts_agreed, estimated.params)
     target = picture.levels.reshape(-1, picture.channels)[pixels].reshape(-1)
     error = np.clip(at.prediction, 0, LEVELS) - target
     rmse = float(np.sqrt(np.mean(error.astype(np.float64) ** 2)))
-    # A pass that is upsampled was rounded once before.
-    allowed = WITHIN_ROUNDING * (2 if errs.upsampled > 1 else 1)
-    trusted = settled.sigma <= allowed or left.like_noise or found.scatter is not None
+    # An upsampled pass was rounded once more, before.
+    allowed = WITHIN_ROUNDING * (2 if uncertainty.upsampled > 1 else 1)
+    trusted = settled.sigma <= allowed or residual_misfit.like_noise or found.scatter is not None
     remarks = found.remarks
     if picture.foreign and not objection:
-        # A person is told, and errors are widened: a model so rough is never all of a picture.
-        remarks += () if trusted else (STRUCTURED.format(settled.sigma, left.correlation),)
+        # A model so rough never explains all of a picture: the user is warned, errors are widened.
+        remarks += (
+            () if trusted else (STRUCTURED.format(settled.sigma, residual_misfit.correlation),)
+        )
         trusted = True
     trusted = trusted and not objection
-    # One line of pixels, repeated, has so many explanations that its errors say nothing.
+    # One line of pixels, repeated, has so many explanations that its errors are meaningless.
     a_line = is_a_line(picture) and int(problem.free.sum()) > 2
     converged = trusted and settled.quiet and not a_line
     return FitResult(
         converged=converged,
-        message=objection or _message(settled, trusted, left, a_line),
-        model=told.model,
-        params=told.params,
-        combined=told.combined,
-        covariance=told.covariance,
-        correlations=_correlations(problem.names, told.covariance),
-        undetermined=told.undetermined,
-        warnings=(*(s.words for s in errs.suspects), *remarks),
+        message=objection or _message(settled, trusted, residual_misfit, a_line),
+        model=estimated.model,
+        params=estimated.params,
+        combined=estimated.combined,
+        covariance=estimated.covariance,
+        correlations=_correlations(problem.names, estimated.covariance),
+        undetermined=estimated.undetermined,
+        warnings=(*(s.words for s in uncertainty.suspects), *remarks),
         notes=notes,
         noise_levels=settled.sigma,
         rmse_levels=rmse,
         psnr_db=float(20 * np.log10(LEVELS / max(rmse, 1e-6))),
         pixels=len(pixels),
-        pixels_effective=len(pixels) / errs.growth,
+        pixels_effective=len(pixels) / uncertainty.growth,
         pixels_clipped=int((picture.clipped & picture.valid).sum()),
-        residual_correlation=left.correlation,
-        residual_tails=left.tails,
+        residual_correlation=residual_misfit.correlation,
+        residual_tails=residual_misfit.tails,
         log_likelihood=settled.log_likelihood,
         timing_s=timing | {"solve": timing["solve"] - timing["compile"]},
         picture=picture,
         free=problem.free,
-        held=told.held,
+        held=estimated.held,
         seed=problem.seed,
         starts_agreed=found.starts_agreed,
         simulated=found.scatter is not None,
@@ -131,26 +141,26 @@ def verdict(
     )
 
 
-def _from_anywhere(agreed: tuple[int, int] | None, params: dict[str, Estimate]) -> str:
-    """Why light of no known place, which no other of the starts that were tried found either, is no
-    rays; empty where its place is known."""
+def _undetermined_place(agreed: tuple[int, int] | None, params: dict[str, Estimate]) -> str:
+    """Why there are no rays: the position of the light is undetermined and no other start found it.
+    Empty where the position is known."""
     at = [params[name] for name in ("light_x", "light_y") if name in params]
-    if agreed is None or agreed[0] > 1 or all((e.stderr or 0) <= ANYWHERE for e in at):
+    if agreed is None or agreed[0] > 1 or all((e.stderr or 0) <= UNDETERMINED_PLACE for e in at):
         return ""
-    return FROM_ANYWHERE.format(*(v for e in at for v in (e.value, e.stderr or 0)))
+    return NO_POSITION.format(*(v for e in at for v in (e.value, e.stderr or 0)))
 
 
 def _growth(covariance: np.ndarray, before: np.ndarray, free: np.ndarray) -> float:
-    """By how much variances grew, the geometric mean over coordinates."""
-    ratio = np.diag(covariance)[free] / np.maximum(np.diag(before)[free], 1e-30)
+    """The growth of variances, the geometric mean over coordinates."""
+    ratio = np.diag(covariance)[free] / np.maximum(np.diag(before)[free], LEAST_VARIANCE)
     return float(np.exp(np.mean(np.log(np.maximum(ratio, 1.0))))) if free.any() else 1.0
 
 
 def _correlated(
-    found: Found, covariance: np.ndarray, left: Misfit
+    found: Found, covariance: np.ndarray, residual_misfit: Misfit
 ) -> tuple[np.ndarray, float, list[diagnostics.Suspect]]:
-    """The covariance (p, p) with correlation allowed for, how many pixels each independent one
-    stands for, and what may be wrong. Untouched where neighbours err independently."""
+    """The covariance (p, p) with correlation included, how many pixels each independent one stands
+    for, and possible defects. Unchanged where neighbours err independently."""
     problem, settled, observation = found.problem, found.settled, found.observation
     if settled.sigma <= WITHIN_ROUNDING:
         return covariance, 1.0, []
@@ -162,7 +172,7 @@ def _correlated(
     slope = sandwich.slope_covariance(tangent, found.evidence.score, settled.sigma, observation)
     covariance, growth = sandwich.widened(covariance, slope, found.problem.free)
     model = model_at(settled.coordinates, problem.held, problem.model)
-    if found.inquire and (not left.like_noise or settled.sigma > 1):
+    if found.inquire and (not residual_misfit.like_noise or settled.sigma > COARSE_NOISE):
         pixels = np.asarray(observation.pixels)
         if found.remedy is not None:
             return covariance, growth, [*suspects, found.remedy]
@@ -172,17 +182,19 @@ def _correlated(
 
 
 def is_a_line(picture: Picture) -> bool:
-    """Whether the picture is one line of pixels, or a few, repeated; one that is empty but for a
-    part of it is not."""
-    return bool(picture.repeats >= A_LINE)
+    """Whether the picture is one line of pixels, or a few, repeated. A picture that is empty but
+    for a part of it is not."""
+
+    return bool(picture.repeats >= LINE_REPEATS)
 
 
-def _message(settled: Settled, trusted: bool, left: Misfit, a_line: bool) -> str:
+def _message(settled: Settled, trusted: bool, residual_misfit: Misfit, a_line: bool) -> str:
     if not trusted:
         return (
             f"the residual is not noise (of {settled.sigma:.2f} levels, neighbours correlated by "
-            f"{left.correlation:.2f}, tails of {left.tails:.1f} where noise has 3): the shader, "
-            "mask or transfer may be another, or the best point was missed; try --start"
+            f"{residual_misfit.correlation:.2f}, tails of {residual_misfit.tails:.1f} where noise "
+            "has 3): the shader, mask or transfer may be another, or the search ended in a wrong "
+            "minimum; try --start"
         )
     if a_line:
         return (
@@ -190,12 +202,12 @@ def _message(settled: Settled, trusted: bool, left: Misfit, a_line: bool) -> str
             "alike; hold some with --fix"
         )
     if not settled.quiet:
-        return "the steps had not died down when the fit stopped; try --start near this answer"
+        return "the steps had not become small when the fit stopped; try --start near this answer"
     return "converged"
 
 
 def _correlations(names: list[str], covariance: np.ndarray) -> dict[str, float]:
-    """Correlations above 0.1 in size, largest first."""
+    """Correlations above LEAST_CORRELATION in size, largest first."""
     size = np.sqrt(np.diag(covariance))
     pairs = {
         f"{names[i]},{names[j]}": float(covariance[i, j] / (size[i] * size[j]))
@@ -204,4 +216,4 @@ def _correlations(names: list[str], covariance: np.ndarray) -> dict[str, float]:
         if np.isfinite(covariance[i, j]) and size[i] > 0 and size[j] > 0
     }
     ordered = sorted(pairs.items(), key=lambda item: -abs(item[1]))
-    return {pair: value for pair, value in ordered if abs(value) > 0.1}
+    return {pair: value for pair, value in ordered if abs(value) > LEAST_CORRELATION}

@@ -1,9 +1,9 @@
-"""Minima of the cost in density: found, and compared.
+"""Minima of the cost in density: a search for them, and a comparison.
 
 Density is visible where the rays end, and each of the shader's n taps leaves a band there, so that
 the cost has a minimum for every band, some 1/n of density apart. ``on_subset`` tries those that
-``density_scan.py`` finds on a few thousand pixels. ``likeliest`` compares what is left, and what
-lies near and far, on all pixels.
+``density_scan.py`` finds on a few thousand pixels. ``likeliest`` compares the remaining ones, and
+minima near to and far from them, on all pixels.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from godfit.inference.evaluate import predictions
 from godfit.inference.information import Evidence, evidence, misfit
 from godfit.inference.noise import EXPLAINED, SIGMAS, WITHIN_ROUNDING
 from godfit.inference.observation import Observation
-from godfit.inference.problem import PIXELS, Problem
+from godfit.inference.problem import SEARCH_PIXELS, Problem
 from godfit.inference.repeated_values import counted_once
 from godfit.inference.settle import Settled, settle, veil
 from godfit.inference.solver import solve
@@ -37,8 +37,8 @@ COMPARED_PIXELS = 1 << 14
 """Pixels on which minima are compared, at most."""
 CANDIDATES = 3
 """Minima that all pixels must decide between, at most."""
-HOPELESS = 6.0
-"""Levels of noise that no wrong minimum leaves: the model is another, and no density will do."""
+WRONG_MODEL_NOISE = 6.0
+"""Noise in levels above that of any wrong minimum: the model is wrong, and no density will do."""
 ANOTHER_MODEL = 20.0
 """Levels of noise that no minimum of the right model leaves, however poor the start."""
 NEIGHBOURS = 5
@@ -46,9 +46,9 @@ NEIGHBOURS = 5
 ROUNDING_ONLY = 1.3 * SIGMAS[0]
 """Noise in levels that the right answer to a picture that is only rounded does not exceed: the
 least that is tried, and the rounding of float32 on top."""
-QUIET = 2 * SIGMAS[0]
-"""Noise in levels at which a few thousand pixels leave nothing to improve."""
-SCANS = 3
+IMPROVABLE_NOISE = 2 * SIGMAS[0]
+"""Noise in levels down to which a few thousand pixels can be improved upon."""
+MAX_DENSITY_SCANS = 3
 """Scans over all densities, at most."""
 COMPARISONS = 4
 """Rounds of comparing the minima nearby, at most."""
@@ -89,8 +89,8 @@ def on_subset(problem: Problem, start: np.ndarray, report: Report) -> list[np.nd
             bands_at(settled, evidence(settled, tangent, observation), problem),
         )
 
-    settled, observation, (along, width, doubtful) = settled_on(PIXELS, start)
-    quiet = settled.sigma < QUIET
+    settled, observation, (along, width, doubtful) = settled_on(SEARCH_PIXELS, start)
+    quiet = settled.sigma < IMPROVABLE_NOISE
     if not problem.free[along] or (quiet and not doubtful):
         return [settled.coordinates]
     if settled.sigma > ANOTHER_MODEL or not _explains(settled, observation):
@@ -98,13 +98,13 @@ def on_subset(problem: Problem, start: np.ndarray, report: Report) -> list[np.nd
     if quiet:
         # More pixels may leave no doubt, and cost less than a scan.
         closer, _, bands = settled_on(COMPARED_PIXELS, settled.coordinates)
-        if closer.sigma < QUIET and not bands.doubtful:
+        if closer.sigma < IMPROVABLE_NOISE and not bands.doubtful:
             return [closer.coordinates]
     report("other densities")
     found = scan_density(settled, problem, along)
-    for _ in range(SCANS):
+    for _ in range(MAX_DENSITY_SCANS):
         best = found[0]
-        if best.sigma < EXPLAINED or best.sigma > HOPELESS:
+        if best.sigma < EXPLAINED or best.sigma > WRONG_MODEL_NOISE:
             break
         if _like_noise(best, problem, observation):
             break
@@ -113,7 +113,7 @@ def on_subset(problem: Problem, start: np.ndarray, report: Report) -> list[np.nd
         found = scan_density(better, problem, along)
         if found[0].log_likelihood < best.log_likelihood + 1:
             break
-    if found[0].sigma > HOPELESS and not _like_noise(found[0], problem, observation):
+    if found[0].sigma > WRONG_MODEL_NOISE and not _like_noise(found[0], problem, observation):
         return [found[0].coordinates]
     close = [
         f for f in found if f.log_likelihood > found[0].log_likelihood - DOUBT or f is found[0]
@@ -132,7 +132,7 @@ def _explains(settled: Settled, observation: Observation) -> bool:
 
 
 def _hopeless(settled: Settled, at: Evidence, observation: Observation) -> bool:
-    return settled.sigma > HOPELESS and not misfit(at.prediction, observation).like_noise
+    return settled.sigma > WRONG_MODEL_NOISE and not misfit(at.prediction, observation).like_noise
 
 
 def _like_noise(at: Settled, problem: Problem, observation: Observation) -> bool:
@@ -198,8 +198,8 @@ def _with_neighbours(
 def _with_nearby(
     settled: Settled, at: Evidence, problem: Problem, observation: Observation
 ) -> tuple[Settled, Evidence]:
-    """The likeliest of the minima nearby. With noise a wrong minimum looks as good as the right one
-    until both are evaluated on all pixels."""
+    """The minimum of largest likelihood among those nearby. With noise a wrong minimum is as good
+    as the right one until both are evaluated on all pixels."""
     if settled.sigma < WITHIN_ROUNDING or not _explains(settled, observation):
         return settled, at
     for _ in range(COMPARISONS):
@@ -225,7 +225,7 @@ def _with_distant(
     """The likeliest of the minima anywhere, where the residual is less than rounding would hide and
     yet more than the right answer leaves: short rays determine density so poorly that a few
     thousand pixels are content with a wrong one."""
-    for _ in range(SCANS):
+    for _ in range(MAX_DENSITY_SCANS):
         along, width, _ = bands_at(settled, at, problem)
         if not problem.free[along] or not ROUNDING_ONLY < settled.sigma < WITHIN_ROUNDING:
             break

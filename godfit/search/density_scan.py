@@ -19,7 +19,7 @@ from godfit.inference.distinct import DOUBT, distinct, local_minima
 from godfit.inference.evaluate import predictions
 from godfit.inference.likelihood import deviance_residuals
 from godfit.inference.observation import Observation
-from godfit.inference.problem import PIXELS, Problem
+from godfit.inference.problem import SEARCH_PIXELS, Problem
 from godfit.inference.settle import Settled, settle
 from godfit.inference.solver import Point, solve
 from godfit.inference.strategy import COARSE_TO_FINE
@@ -50,9 +50,10 @@ BEYOND_DOUBT = 32.0
 """Log-likelihood on a quarter of the pixels, not settled yet, by which a minimum that is behind
 cannot be ahead on all of them."""
 SHARPEST_SIGMA = 0.02
+"""Noise of a scan in levels, at least: a sharper likelihood is flat where the bottom of a minimum
+lies a little beside the line."""
 BLUNTEST_SIGMA = 0.3
-"""Noise of a scan, in levels: a blunter likelihood cannot tell minima apart, a sharper one is
-flat where the bottom of a minimum lies a little beside the line."""
+"""Noise of a scan in levels, at most: a blunter likelihood does not separate minima."""
 RIDGE = 1e-9
 """Ridge of the linear coordinates, as a share of the trace: less than float32 resolves."""
 
@@ -64,7 +65,7 @@ def nearby_minima(
     ``start``, without its own.
 
     ``count`` pixels decide which of them may be likelier on all: where noise hides the bands, a few
-    thousand cannot tell one minimum from another.
+    thousand do not distinguish the minima.
     """
     pixels = problem.picture.informative(count, problem.seed)
     observation = problem.picture.observe(pixels)
@@ -169,15 +170,15 @@ def _projected(
     target = ((np.asarray(scanned.lo) + np.asarray(scanned.hi)) / 2 - rest)[known]
     gain = shown - rest - parts[:-1].sum(0)
     # (n, linear, m) each component at each place.
-    each = np.concatenate(
+    components = np.concatenate(
         [np.broadcast_to(parts[:-1], (len(line), *parts[:-1].shape)), gain[:, None]], 1
     )
-    share = least_squares(each[..., known], target, RIDGE)
+    share = least_squares(components[..., known], target, RIDGE)
     bounds = (np.asarray(b, np.float64)[linear] for b in model.bounds())
     line[:, linear] = np.clip(line[:, linear] * share, *bounds)
     # A component at 0 stays there, whatever it is multiplied by.
     share = line[:, linear] / np.where(at[linear] == 0, 1, at[linear])
-    shown = rest + np.einsum("nl,nlm->nm", share, each)
+    shown = rest + np.einsum("nl,nlm->nm", share, components)
     return line, shown
 
 
@@ -195,22 +196,24 @@ def _costs(
 
 
 def scan_density(
-    start: Settled, problem: Problem, along: int, *, tries: int = 8, count: int = PIXELS
+    start: Settled, problem: Problem, along: int, *, tries: int = 8, count: int = SEARCH_PIXELS
 ) -> list[Settled]:
     """Settle in the deepest minima along coordinate ``along``; the best first, ``start`` among
     them. ``count`` pixels decide, and at most ``tries`` minima are solved."""
-    observation, few = problem.observe(count), problem.observe(count // 4)
+    observation, coarse = problem.observe(count), problem.observe(count // 4)
     scanned = problem.observe(SCAN_PIXELS)
     lower, upper = problem.bounds
     at = start.coordinates
     smooth = problem.observe(count, _valley_blur(problem))
     follow = _valley_direction(at, problem, along, smooth)
     here = at[along]
-    least, most = max(lower[along], LOWEST_DENSITY), upper[along]
+    lowest, highest = max(lower[along], LOWEST_DENSITY), upper[along]
     near = np.linspace(
-        max((1 - CLOSE_RANGE) * here, least), min((1 + CLOSE_RANGE) * here, most), CLOSE_DENSITIES
+        max((1 - CLOSE_RANGE) * here, lowest),
+        min((1 + CLOSE_RANGE) * here, highest),
+        CLOSE_DENSITIES,
     )
-    values = np.sort(np.concatenate([near, np.linspace(least, most, SCAN_DENSITIES)]))
+    values = np.sort(np.concatenate([near, np.linspace(lowest, highest, SCAN_DENSITIES)]))
     sigma = float(np.clip(start.sigma, SHARPEST_SIGMA, BLUNTEST_SIGMA))
 
     # Two lines through the start: one follows the valley, the other suits a start that is right but
@@ -225,7 +228,7 @@ def scan_density(
     lines = parallel_map(minima_on, [True, False])
     band = float(here) / problem.model.samples
     begun = _apart([p for line in lines for p in line], along, band / 4)
-    points = parallel_map(lambda p: solve(p.coordinates, problem, few, sigma), begun[:tries])
+    points = parallel_map(lambda p: solve(p.coordinates, problem, coarse, sigma), begun[:tries])
     if len(points) > SETTLED_MINIMA:
         # The few pixels that they were solved on cannot rank them.
         ends = np.array([points[i % len(points)].coordinates for i in range(tries)], np.float32)
@@ -235,7 +238,7 @@ def scan_density(
     points = _apart(points, along, band / 20)[:SETTLED_MINIMA]
     if points and start.sigma > sigma:
         # With noise of its own, a point is behind by half of n values times the log of the ratio.
-        far = points[0].cost * math.exp(2 * BEYOND_DOUBT / len(few.lo))
+        far = points[0].cost * math.exp(2 * BEYOND_DOUBT / len(coarse.lo))
         points = [p for p in points if p.cost <= far]
     found = parallel_map(lambda p: settle(p.coordinates, problem, observation)[0], points)
     return sorted([start, *found], key=lambda s: -s.log_likelihood)

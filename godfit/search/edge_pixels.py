@@ -1,11 +1,11 @@
-"""Edge pixels of a drawn mask whose side is in doubt: the target decides.
+"""Edge pixels of a drawn mask whose side is uncertain: the target decides.
 
-A mask drawn without anti-aliasing has, in every edge pixel, the colour of the pixel's centre, and
-where an edge passes near to the centre another renderer may take the other side: vertices are
-snapped to a fraction of a pixel, spheres are polygons. Few pixels are in doubt, but each throws a
-streak across the picture, which no other parameter explains. The light pass is linear in the mask,
-so that the residual is a sum of such streaks, and least squares over the edge pixels, one unknown
-for each, recovers the mask.
+A mask drawn without anti-aliasing has, in every edge pixel, the colour at the pixel's centre. Where
+an edge passes near the centre another renderer may take the other side: vertices are snapped to a
+fraction of a pixel, spheres are polygons. Few pixels are uncertain, but each throws a streak across
+the picture, which no other parameter explains. The light pass is linear in the mask, so that the
+residual is a sum of such streaks. Least squares over the edge pixels, one unknown for each,
+recovers the mask.
 """
 
 from __future__ import annotations
@@ -28,24 +28,25 @@ from godfit.scenes.view import drawn_mask
 from godfit.search import density_minima
 from godfit.search.multigrid import climb
 
-ROUNDS = 4
-"""Rounds of fitting and settling edge pixels, at most: most pictures take two."""
-TRIMS = 4
+EDGE_ROUNDS = 4
+"""Rounds of fitting and settling edge pixels, at most: they end once the mask stays."""
+STREAK_TRIMS = 4
 """Times that pixels crossed by a streak are left out and the rest is solved."""
 TRIMMED_PIXELS = 8192
-"""Pixels of these solves: after the streaks are out, enough are left."""
+"""Pixels of these solves: enough remain after those under streaks are left out."""
 ROUNDING_LEVELS = 0.3
 """Standard deviation of rounding to bytes, in levels."""
-WRONG_MASK = 1.0
+WRONG_MASK_LEVELS = 1.0
 """Levels that an edge pixel is off by at least where the mask is of the wrong kind."""
-LOG_ODDS = 3.0
+FLIP_LOG_ODDS = 3.0
 """Log-odds against a pixel falling the other way."""
-EDGE_TOLERANCE = 0.05
+EDGE_DISAGREEMENT = 0.05
 """Share of a pixel by which renderers disagree about where an edge is."""
-LEAST_SHARE = 0.1
-"""Share of an edge pixel that its other colour must have to be in doubt."""
-NEAR_LIGHT = 0.05
-"""Share of the ray next to the light whose taps spread single texels over too many pixels."""
+LEAST_OTHER_SHARE = 0.1
+"""Share of an edge pixel that its other colour must have for the pixel to be uncertain."""
+NEAR_LIGHT_SHARE = 0.05
+"""Share of the ray next to the light that is left out: its taps spread single texels over too many
+pixels."""
 
 
 @refined_mask.register
@@ -69,17 +70,19 @@ def settled_edges(
         hard_off, soft_off = (
             np.abs(_residual(drawn, at)).max(-1) for drawn, at in ((problem, z), (smooth, soft))
         )
-        # The wrong mask is off at every edge pixel, the right one at the doubtful few.
-        much = max(4 * min(float(np.median(hard_off)), float(np.median(soft_off))), WRONG_MASK)
-        if np.count_nonzero(soft_off > much) < np.count_nonzero(hard_off > much):
+        # The wrong mask is off at every edge pixel, the right one at the uncertain few.
+        threshold = max(
+            4 * min(float(np.median(hard_off)), float(np.median(soft_off))), WRONG_MASK_LEVELS
+        )
+        if np.count_nonzero(soft_off > threshold) < np.count_nonzero(hard_off > threshold):
             return smooth.picture
     if model.convention.box:
         return picture
-    doubt = _Doubt.of(np.atleast_3d(picture.mask), np.atleast_3d(smooth.picture.mask))
-    for _ in range(ROUNDS):
+    uncertain = _UncertainEdges.of(np.atleast_3d(picture.mask), np.atleast_3d(smooth.picture.mask))
+    for _ in range(EDGE_ROUNDS):
         picture = problem.picture
-        z, _ = _off_streaks(problem, z)
-        mask = doubt.settled(problem, z).reshape(picture.mask.shape)
+        z, _ = _solved_off_streaks(problem, z)
+        mask = uncertain.settled(problem, z).reshape(picture.mask.shape)
         if (mask == picture.mask).all():
             break
         problem = problem.replaced(picture=dataclasses.replace(picture, mask=mask))
@@ -89,31 +92,31 @@ def settled_edges(
 def _sharp(problem: Problem, start: np.ndarray) -> np.ndarray:
     """Coordinates in the right minimum of density, from the pixels that no streak crosses."""
     picture = problem.picture
-    z, like_most = _off_streaks(problem, start)
-    trimmed = dataclasses.replace(picture, valid=picture.valid & like_most)
+    z, off_streak = _solved_off_streaks(problem, start)
+    trimmed = dataclasses.replace(picture, valid=picture.valid & off_streak)
     problem = problem.replaced(picture=trimmed)
     return density_minima.on_subset(problem, z, lambda text: None)[0]
 
 
-def _off_streaks(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates from pixels that no streak crosses, those whose residual is like most; and
-    (h, w) which these are."""
+def _solved_off_streaks(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates solved from the pixels that no streak crosses, which have an ordinary residual;
+    and (h, w) where these pixels are."""
     picture = problem.picture
     pixels = picture.informative(TRIMMED_PIXELS, problem.seed)
-    like_most = picture.valid
-    for _ in range(TRIMS):
+    off_streak = picture.valid
+    for _ in range(STREAK_TRIMS):
         off = np.abs(_residual(problem, z)).max(-1)
         usual = 4 * float(np.median(off.reshape(-1)[pixels]))
-        like_most = off <= max(usual, 2 * ROUNDING_LEVELS)
-        kept = pixels[like_most.reshape(-1)[pixels]]
-        # As many as before, so that nothing is compiled anew.
-        observation = picture.observe(np.sort(np.resize(kept, len(pixels))))
+        off_streak = off <= max(usual, 2 * ROUNDING_LEVELS)
+        ordinary = pixels[off_streak.reshape(-1)[pixels]]
+        # Repeated to the same number, so that nothing is compiled anew.
+        observation = picture.observe(np.sort(np.resize(ordinary, len(pixels))))
         z = solve(z, problem, observation, ROUNDING_LEVELS).coordinates
-    return z, like_most
+    return z, off_streak
 
 
 def _residual(problem: Problem, z: np.ndarray) -> np.ndarray:
-    """(h, w, c) target minus fitted in levels, 0 where it is not known."""
+    """(h, w, c) target minus fitted in levels, 0 where ignored or clipped."""
     picture = problem.picture
     fitted = picture.rendered(problem.at(z))
     known = picture.valid & ~picture.clipped
@@ -121,9 +124,9 @@ def _residual(problem: Problem, z: np.ndarray) -> np.ndarray:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Doubt:
-    """Edge pixels in doubt, (k,) rows and columns of the ``hard`` mask (h, w, c), what each would
-    change by (k, c) if it fell the other way, and the share of it that has that colour."""
+class _UncertainEdges:
+    """Uncertain edge pixels: (k,) rows and columns in the ``hard`` mask (h, w, c), the change
+    (k, c) of each if it falls on the other side, and the share of the pixel on that side."""
 
     hard: np.ndarray
     rows: np.ndarray
@@ -132,59 +135,61 @@ class _Doubt:
     share: np.ndarray
 
     @staticmethod
-    def of(hard: np.ndarray, smooth: np.ndarray) -> _Doubt:
-        """Of the neighbours' colours, the one that most of the rest of the pixel has."""
+    def of(hard: np.ndarray, smooth: np.ndarray) -> _UncertainEdges:
+        """From the hard and the smooth mask (h, w, c). The other colour of a pixel is that of the
+        neighbour that explains the largest share of it."""
+
         rows, columns = np.nonzero((smooth != hard).any(-1))
         h, w = hard.shape[:2]
         here, mean = hard[rows, columns], smooth[rows, columns]
-        change, most = np.zeros_like(here), np.zeros(len(here))
+        change, largest = np.zeros_like(here), np.zeros(len(here))
         for i in (-1, 0, 1):
             for j in (-1, 0, 1):
                 other = hard[np.clip(rows + i, 0, h - 1), np.clip(columns + j, 0, w - 1)] - here
                 square = (other**2).sum(-1)
                 share = ((mean - here) * other).sum(-1) / np.where(square > 0, square, 1)
-                # More than all of it: a third colour, further away, is in the pixel.
-                closer = (square > 0) & (share > most) & (share <= 1)
-                change, most = (
+                # A share above 1 means that the pixel contains a third colour, further away.
+                closer = (square > 0) & (share > largest) & (share <= 1)
+                change, largest = (
                     np.where(closer[:, None], other, change),
-                    np.where(closer, share, most),
+                    np.where(closer, share, largest),
                 )
-        keep = most > LEAST_SHARE
-        return _Doubt(hard, rows[keep], columns[keep], change[keep], most[keep])
+        keep = largest > LEAST_OTHER_SHARE
+        return _UncertainEdges(hard, rows[keep], columns[keep], change[keep], largest[keep])
 
     def settled(self, problem: Problem, z: np.ndarray) -> np.ndarray:
-        """The mask (h, w, c) with every pixel in doubt on the side that the residual supports."""
+        """The mask (h, w, c) with every uncertain pixel on the side that the residual supports."""
         picture, fitted = problem.picture, problem.at(z)
         assert isinstance(fitted, Mitchell)
         residual = _residual(problem, z)
         channels, size = residual.shape[-1], self.hard.shape[:2]
-        # Where the target or the picture is clipped, streaks are not visible.
-        shows = picture.valid & ~picture.clipped
-        shows &= (picture.rendered(fitted) < LEVELS).all(-1)
-        shows = shrink(shows.astype(np.float32), size).reshape(-1, 1) == 1
-        residual = np.where(shows, shrink(residual, size).reshape(-1, channels), 0.0)
-        streaks = sparse.csr_array(self._streaks(fitted) * shows)
+        # A streak is not visible where the target or the fitted picture is clipped.
+        visible = picture.valid & ~picture.clipped
+        visible &= (picture.rendered(fitted) < LEVELS).all(-1)
+        visible = shrink(visible.astype(np.float32), size).reshape(-1, 1) == 1
+        residual = np.where(visible, shrink(residual, size).reshape(-1, channels), 0.0)
+        streaks = sparse.csr_array(self._streaks(fitted) * visible)
         now = np.atleast_3d(picture.mask)[self.rows, self.columns]
         taken = ((now - self.hard[self.rows, self.columns]) * self.change).sum(-1)
         taken = taken / (self.change**2).sum(-1)
-        # What the residual would be if no pixel had fallen the other way.
+        # The residual as it would be with no pixel on the other side.
         residual = residual + streaks @ (taken[:, None] * self.change)
         noise = max(ROUNDING_LEVELS, 1.5 * float(np.median(np.abs(residual))))
         gram = (streaks.T @ streaks).toarray() * (self.change @ self.change.T)
         pull = ((streaks.T @ residual) * self.change).sum(-1)
-        # The other parameters give way: what they can explain is no streak.
-        slopes = self._slopes(problem, z) * shows[..., None]
+        # The other parameters adapt: the part of a streak that they explain is projected out.
+        slopes = self._slopes(problem, z) * visible[..., None]
         cross = np.einsum("kcp,kc->kp", self._gather(streaks, slopes), self.change)
         inner = np.einsum("mcp,mcq->pq", slopes, slopes)
-        give = np.linalg.lstsq(inner, cross.T, rcond=1e-6)[0]
-        gram -= cross @ give
-        pull -= np.einsum("mcp,mc->p", slopes, residual) @ give
-        # The prior: a pixel has not fallen, give or take one half.
+        adapted = np.linalg.lstsq(inner, cross.T, rcond=1e-6)[0]
+        gram -= cross @ adapted
+        pull -= np.einsum("mcp,mc->p", slopes, residual) @ adapted
+        # The prior of each pixel's part on the other side: 0 with a standard deviation of 1/2.
         part = np.linalg.solve(gram + 4 * noise**2 * np.eye(len(pull)), pull)
         evidence = (2 * part - 1) * np.diag(gram) / (2 * noise**2)
-        fallen = evidence > LOG_ODDS + (1 - 2 * self.share) / (2 * EDGE_TOLERANCE)
+        flipped = evidence > FLIP_LOG_ODDS + (1 - 2 * self.share) / (2 * EDGE_DISAGREEMENT)
         mask = self.hard.copy()
-        mask[self.rows, self.columns] += fallen[:, None] * self.change
+        mask[self.rows, self.columns] += flipped[:, None] * self.change
         return mask
 
     @staticmethod
@@ -237,5 +242,5 @@ def _weights(model: Mitchell):
     yield 0.0, float(taps.own)
     for k in range(1, taps.count + 1):
         t = k * float(taps.step)
-        if t < 1 - NEAR_LIGHT:
+        if t < 1 - NEAR_LIGHT_SHARE:
             yield t, float(taps.first) * float(taps.ratio) ** (k - 1)

@@ -1,4 +1,4 @@
-"""Other starts and other interpretations of the images, where the residual of a fit is not noise."""
+"""Other starts and other explanations of the images, where the residual of a fit is not noise."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from godfit.inference.fitted import Found
 from godfit.inference.information import evidence, misfit
 from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.observation import Picture
-from godfit.inference.problem import PIXELS, Problem
+from godfit.inference.problem import SEARCH_PIXELS, Problem
 from godfit.inference.settle import Settled, settle
 from godfit.inference.strategy import Report, trading
 from godfit.io.filters import grey
 from godfit.search import multigrid
-from godfit.search.density_minima import HOPELESS
+from godfit.search.density_minima import WRONG_MODEL_NOISE
 
 SAME_END = 0.02
 """Distance of coordinates (density, shares of the picture) within which two fits ended alike."""
@@ -45,7 +45,7 @@ def again(found: Found, starts: list[np.ndarray], report: Report) -> Found:
     """The likelier of the fit and what each of ``starts``, alone, leads to; with how many of them
     ended where it is."""
     problem = found.problem
-    observation = problem.observe(PIXELS)
+    observation = problem.observe(SEARCH_PIXELS)
     own, _ = settle(found.settled.coordinates, problem, observation)
     ends, best = [], own
     for start in starts:
@@ -73,7 +73,7 @@ def remedy(found: Found, starts: Starts) -> diagnostics.Suspect | None:
     shift = _other_place(found.problem, starts)
     if shift is not None:
         words = diagnostics.WORDS["moved"].format(down=shift[0], right=shift[1])
-    elif found.settled.sigma > HOPELESS and _other_transfer(found.problem, starts):
+    elif found.settled.sigma > WRONG_MODEL_NOISE and _other_transfer(found.problem, starts):
         words = diagnostics.WORDS["transfer"]
     return diagnostics.Suspect(1.0, "remedy", words) if words else None
 
@@ -125,12 +125,12 @@ def _anew(problem: Problem, starts: Starts) -> Settled:
 
 
 def _settled(problem: Problem, start: np.ndarray) -> Settled:
-    return settle(start, problem, problem.observe(PIXELS))[0]
+    return settle(start, problem, problem.observe(SEARCH_PIXELS))[0]
 
 
 def edges_agree(target: np.ndarray, mask: np.ndarray) -> tuple[int, int]:
-    """The shift of ``mask`` (h, w), at most MAX_SHIFT pixels either way, by which its fine detail is
-    correlated most with that of ``target`` (h, w)."""
+    """The shift of ``mask`` (h, w), at most MAX_SHIFT pixels either way, by which its fine detail
+    is correlated most with that of ``target`` (h, w)."""
     inner = (slice(MAX_SHIFT, -MAX_SHIFT),) * 2
     fine = [z - ndimage.gaussian_filter(z, FINE_DETAIL) for z in (target, mask)]
 

@@ -17,7 +17,7 @@ from godfit.errors import InputError
 from godfit.inference.fitted import Found
 from godfit.inference.information import evidence
 from godfit.inference.observation import Observation
-from godfit.inference.problem import PIXELS, Problem
+from godfit.inference.problem import SEARCH_PIXELS, Problem
 from godfit.inference.settle import settle
 from godfit.inference.solver import Point, solve
 from godfit.inference.strategy import Effort, Open, Report, left_open, search, starts
@@ -44,7 +44,7 @@ SOLVED_PLACEMENTS = 40
 """The best placements, which are solved, at most."""
 AGREEING = 2
 """Solved placements that must agree in cost before the rest is left out."""
-MAX_SOLVES = 6
+PLACEMENT_SOLVES = 6
 """Solves one after another: valleys of depth and size are long and bent."""
 GEOMETRY = slice(len(SCATTERING), None)
 """Coordinates of a staged model behind those of the scattering."""
@@ -130,7 +130,7 @@ def place(problem: Problem, given: dict[str, float], report: Report) -> np.ndarr
         small = problem.replaced(picture=picture.shrunk(factor))
         rows, columns = small.picture.size
         report(f"{columns}x{rows} pixels")
-        z = _descend(z, small, small.observe(PIXELS), COARSE_SIGMA / 4).coordinates
+        z = _descend(z, small, small.observe(SEARCH_PIXELS), COARSE_SIGMA / 4).coordinates
         if factor == 1:
             break
     return np.clip(z, *problem.bounds)
@@ -139,7 +139,7 @@ def place(problem: Problem, given: dict[str, float], report: Report) -> np.ndarr
 def _descend(z: np.ndarray, problem: Problem, observation: Observation, sigma: float) -> Point:
     """Solve until the cost falls no more."""
     point = Point(z, np.inf, False, 0)
-    for _ in range(MAX_SOLVES):
+    for _ in range(PLACEMENT_SOLVES):
         before = point
         try:
             point = solve(before.coordinates, problem, observation, sigma, bounded=False)

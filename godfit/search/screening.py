@@ -1,9 +1,10 @@
-"""Starting points for a fit, from a coarse look at a small copy of the images.
+"""Starting points for a fit, from a coarse screening on a small copy of the images.
 
-On a copy of at most 64 pixels, every combination of a grid of lights, attenuations and densities is
-tried; exposure and gain enter the sum linearly and are solved for exactly (variable projection:
-Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973), 413). The rays of one light are read once and
-shared by all attenuations and densities, which are weights along them.
+The copy has at most 64 pixels a side. Every combination of a grid of lights, attenuations and
+densities is evaluated. Exposure and gain enter the sum linearly and are solved for exactly
+(variable projection: Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973), 413). The mask along the rays
+of one light is read once and shared by all attenuations and densities, which are weights along
+them.
 """
 
 from __future__ import annotations
@@ -29,18 +30,31 @@ from godfit.runtime.parallel import map_halves
 from godfit.runtime.program_cache import cached_jit
 from godfit.scattering.radial.nearest import GRID_DENSITIES, RAY_STEPS, read_rays
 
-SIZE = 64
-POINTS = 512
-# Groups of lights that are grown by one more light.
-GROUPS = 48
-# Lights drawn where it is bright: so many that all lights are an even number.
-SPOTS = 65
-KAPPAS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 7.0, 11.0, 18.0, 30.0)
+SCREENING_SIZE = 64
+"""Pixels a side of the small copy: rays are smooth enough for it."""
+SCREENING_POINTS = 512
+"""Pixels of the copy that are compared: they limit the time."""
+LIGHT_GROUPS = 48
+"""Groups of lights, the best ones, that are extended by one more light."""
+BRIGHT_PLACES = 65
+"""Lights drawn where the target is bright: with these the number of lights is even, and halves."""
+BRIGHT_FLOOR = 1e-12
+"""Weight of a black pixel in that draw: each must have some."""
+SCREENED_KAPPAS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 7.0, 11.0, 18.0, 30.0)
+"""Attenuations along the whole ray that are tried, closer together where they matter most."""
+TRUSTED_SHARE = 0.99
+"""Share of a cell's pixels that must be valid and not clipped for the cell to count."""
+NEIGHBOUR_PLACE = 0.2
+"""Distance of two lights, in pictures, within which a start is a neighbour of another."""
+NEIGHBOUR_DENSITY = 0.25
+"""Difference of two densities within which a start is a neighbour of another."""
+GROUP_BATCH = 256
+"""Groups that are solved at once, so that memory does not grow with their number."""
 
 
 def light_grid(target: np.ndarray, seed: int) -> np.ndarray:
-    """(lights, 2): a lattice over the image, rings around it, farther apart the farther out, and
-    places drawn where the small ``target`` is bright."""
+    """(lights, 2) places (u, v): a lattice over the image, rings around it that are farther apart
+    the farther out they are, and places drawn where the small ``target`` (h, w) is bright."""
     inside = np.linspace(0.0, 1.0, 13)
     lattice = np.array(list(itertools.product(inside, inside)))
     angle = np.arange(16) * np.pi / 8
@@ -48,9 +62,9 @@ def light_grid(target: np.ndarray, seed: int) -> np.ndarray:
     rings = np.concatenate([0.5 + circle * r for r in (1.3, 1.6, 2.0, 3.0, 4.5, 7.0)])
     rings = rings[(np.abs(rings - 0.5) > 0.51).any(1)]
     h, w = target.shape
-    bright = np.maximum(target, 0).ravel().astype(np.float64) ** 2 + 1e-12
+    bright = np.maximum(target, 0).ravel().astype(np.float64) ** 2 + BRIGHT_FLOOR
     rng = np.random.default_rng(seed)
-    drawn = rng.choice(h * w, min(SPOTS, h * w), replace=False, p=bright / bright.sum())
+    drawn = rng.choice(h * w, min(BRIGHT_PLACES, h * w), replace=False, p=bright / bright.sum())
     spots = np.stack([(drawn % w + 0.5) / w, 1 - (drawn // w + 0.5) / h], -1)
     return np.concatenate([lattice, rings, spots])
 
@@ -62,7 +76,7 @@ def _box_rays(
     at: Float[Array, "points 2"],
     model: Mitchell,
 ) -> Float[Array, "lights 1 points"]:
-    """The light pass of exposure 1 for every light, for a shader without shapes to share."""
+    """The light pass of exposure 1 for every light, for a shader whose rays cannot be shared."""
     model = eqx.tree_at(lambda m: m.exposure, model, jnp.ones_like(model.exposure))
 
     def one(light):
@@ -74,7 +88,7 @@ def _box_rays(
 
 class _View(NamedTuple):
     """The points (n,) of the small copy that are compared: the mask at the pixel itself, the light
-    pass of the target, and whether that counts."""
+    pass of the target, and the weight, 1 or 0, of the point."""
 
     own: np.ndarray
     target: np.ndarray
@@ -104,16 +118,16 @@ def mitchell_starts(
 ) -> list[np.ndarray]:
     """The ``keep`` best starting points in the model's coordinates, best first.
 
-    Parameters in ``given`` are taken as they are and not searched for. The lights are placed one
-    after the other, each where it helps most (matching pursuit).
+    Parameters in ``given`` are held at their values. The lights are placed one after the other,
+    each where it lowers the cost most (matching pursuit).
     """
     shader, lights = model.convention, model.light.shape[0]
     if given.keys() >= model.parameters.keys():
         return [_with_given(model, np.asarray(model.coordinates(), np.float32), given)]
     target, weight = _light_pass(picture, model)
-    mask = shrink(grey(picture.mask), (SIZE, SIZE))
+    mask = shrink(grey(picture.mask), (SCREENING_SIZE, SCREENING_SIZE))
     h, w = target.shape
-    chosen = np.random.default_rng(seed).permutation(h * w)[:POINTS]
+    chosen = np.random.default_rng(seed).permutation(h * w)[:SCREENING_POINTS]
     at = np.stack(
         [
             (chosen % w + 0.5) * mask.shape[1] / w - 0.5,
@@ -121,12 +135,12 @@ def mitchell_starts(
         ],
         -1,
     ).astype(np.float32)
-    goal, trust = (z.ravel()[chosen].astype(np.float32) for z in (target, weight))
-    places, told = places_for(light_grid(target, seed), given, lights)
+    goal, weight = (z.ravel()[chosen].astype(np.float32) for z in (target, weight))
+    places, given_lights = light_places(light_grid(target, seed), given, lights)
     if shader.box:
         shapes, along, scale, own = np.ones((1, 2)), np.ones((1, 1), np.float32), 1.0, 0 * goal
 
-        def read(spots):
+        def rays_to(spots):
             return _box_rays(on_device(mask), on_device(spots), on_device(at), model)
     else:
         shapes = _shapes(given, model.samples)
@@ -139,22 +153,22 @@ def mitchell_starts(
         own = own * np.float32(lights * shader.own)
         fine = ndimage.zoom(mask, 2, order=1, mode="nearest", grid_mode=True)
 
-        def read(spots):
+        def rays_to(spots):
             return read_rays(on_device(fine), on_device(spots), on_device(at))
 
-    view = _View(own, goal, trust)
+    view = _View(own, goal, weight)
     groups = np.arange(len(places))[:, None]
     if lights > 1:
-        rays, required = read(places), tuple(range(len(told)))
+        rays, required = rays_to(places), tuple(range(len(given_lights)))
         groups = _best_groups(rays, along, view, lights, required)
-        groups = np.array([_in_order(group, places, told) for group in groups])
+        groups = np.array([_in_order(group, places, given_lights) for group in groups])
         rays = rays[jnp.asarray(groups)].sum(1)
         e, g, cost = (np.asarray(z) for z in _solve(rays, along, view))
     else:
-        e, g, cost = map_halves(lambda spots: _solve(read(spots), along, view), places)
+        e, g, cost = map_halves(lambda spots: _solve(rays_to(spots), along, view), places)
     spots = places[groups].reshape(len(groups), -1)
     found = []
-    for i, j in apart(cost, spots, shapes, keep):
+    for i, j in distinct_starts(cost, spots, shapes, keep):
         exposure, gain = e[i, j] / scale, g[i, j] / scale
         if shader.box:
             exposure, gain = gain, 1.0
@@ -177,24 +191,24 @@ def _with_given(model: Mitchell, start: np.ndarray, given: dict[str, float]) -> 
     if not given:
         return start
     held = np.array([given.get(name, np.nan) for name in model.parameters], np.float32)
-    # decay and weight are coordinates of their own only together with density and exposure, so the
-    # given ones go in as parameters and come out as coordinates.
+    # The coordinates of decay and weight also depend on density and exposure. So the given values
+    # are put in as parameters, and the coordinates are computed from these.
     at = model.moved(jnp.asarray(start), held)
     decay = jnp.maximum(at.decay, 1e-6)
     return np.asarray(eqx.tree_at(lambda m: m.decay, at, decay).coordinates(), np.float32)
 
 
-def _in_order(group: np.ndarray, places: np.ndarray, told: tuple[int, ...]) -> list[int]:
-    """The lights of a group, first the ``told`` ones, in the order of the parameters: those where
-    they were given, the others from left to right."""
+def _in_order(group: np.ndarray, places: np.ndarray, given_lights: tuple[int, ...]) -> list[int]:
+    """Indices of a group's lights in the order of the parameters: those in ``given_lights`` at
+    their own index, the others from left to right. In ``group`` the given ones come first."""
     indices: list[int] = group.tolist()
-    first = dict(zip(told, indices, strict=False))
-    rest = sorted(indices[len(told) :], key=lambda i: tuple(places[i]))
+    first = dict(zip(given_lights, indices, strict=False))
+    rest = sorted(indices[len(given_lights) :], key=lambda i: tuple(places[i]))
     return [first[i] if i in first else rest.pop(0) for i in range(len(indices))]
 
 
 def _light_pass(picture: Picture, model: Mitchell) -> tuple[np.ndarray, np.ndarray]:
-    """Small copies of the light pass, background taken off, and of where it can be trusted."""
+    """Small copies (h, w) of the light pass, background subtracted, and of the weights, 1 or 0."""
     shader = model.convention
     light = np.asarray(decode(picture.levels / np.float32(LEVELS), picture.transfer))
     if picture.background is not None:
@@ -203,22 +217,27 @@ def _light_pass(picture: Picture, model: Mitchell) -> tuple[np.ndarray, np.ndarr
             light = (light - back) / np.maximum(1 - back, 0.05)
         else:
             light = light - np.float32(shader.background_gain) * back
-    trust = shrink((picture.valid & ~picture.clipped).astype(np.float32), (SIZE, SIZE))
-    return shrink(light.mean(-1), (SIZE, SIZE)), (trust > 0.99).astype(np.float32)
+    weight = shrink(
+        (picture.valid & ~picture.clipped).astype(np.float32), (SCREENING_SIZE, SCREENING_SIZE)
+    )
+    return shrink(light.mean(-1), (SCREENING_SIZE, SCREENING_SIZE)), (
+        weight > TRUSTED_SHARE
+    ).astype(np.float32)
 
 
-def places_for(
+def light_places(
     places: np.ndarray, given: dict[str, float], lights: int
 ) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Candidate places for a light, and which lights are told: their places come first."""
+    """Candidate places (n, 2) for a light, and the indices of the lights that are given, whose
+    places come first."""
     required: list[np.ndarray] = []
-    told: list[int] = []
+    given_lights: list[int] = []
     for i in range(lights):
         stem = "light" if i == 0 else f"light{i + 1}"
         u, v = given.get(f"{stem}_x"), given.get(f"{stem}_y")
         if u is not None and v is not None:
             required.append(np.array([u, v]))
-            told.append(i)
+            given_lights.append(i)
         elif lights == 1 and u is not None:
             places = np.stack([np.full(len(places), u), places[:, 1]], -1)
         elif lights == 1 and v is not None:
@@ -227,7 +246,7 @@ def places_for(
         places = np.array(required)
     elif required:
         places = np.concatenate([required, places])
-    return places.astype(np.float32), tuple(told)
+    return places.astype(np.float32), tuple(given_lights)
 
 
 def _shapes(given: dict[str, float], samples: int) -> np.ndarray:
@@ -235,41 +254,41 @@ def _shapes(given: dict[str, float], samples: int) -> np.ndarray:
     densities = (given["density"],) if "density" in given else GRID_DENSITIES
     pairs = []
     for density in densities:
-        kappas: tuple[float, ...] = KAPPAS
+        kappas: tuple[float, ...] = SCREENED_KAPPAS
         if "decay" in given:
             kappas = (-samples * float(np.log(max(given["decay"], 1e-6))) / max(density, 1e-3),)
         pairs += [(kappa, density) for kappa in kappas]
     return np.array(pairs, np.float32)
 
 
-def apart(
+def distinct_starts(
     cost: np.ndarray, places: np.ndarray, shapes: np.ndarray, keep: int
 ) -> list[tuple[int, int]]:
     """Indices (place, shape) of the ``keep`` cheapest starts that are not neighbours of a cheaper
     one."""
-    left, kept = cost.astype(np.float64), []
-    while len(kept) < keep:
-        i, j = divmod(int(left.argmin()), left.shape[1])
-        if not left[i, j] < np.inf:
+    remaining, chosen = cost.astype(np.float64), []
+    while len(chosen) < keep:
+        i, j = divmod(int(remaining.argmin()), remaining.shape[1])
+        if not remaining[i, j] < np.inf:
             break
-        kept.append((i, j))
-        near = np.abs(places - places[i]).max(1) < 0.2
-        alike = np.abs(shapes[:, 1] - shapes[j, 1]) < 0.25
-        left[np.ix_(near, alike)] = np.inf
-    return kept
+        chosen.append((i, j))
+        near = np.abs(places - places[i]).max(1) < NEIGHBOUR_PLACE
+        alike = np.abs(shapes[:, 1] - shapes[j, 1]) < NEIGHBOUR_DENSITY
+        remaining[np.ix_(near, alike)] = np.inf
+    return chosen
 
 
 def _best_groups(rays, along, view, lights, required):
-    """Groups of lights, grown one light at a time from the cheapest."""
+    """(groups, lights) indices of the best groups of lights, grown by one light at a time."""
     start = [required]
     for size in range(len(required) + 1, lights + 1):
         grown = sorted({(*g, i) for g in start for i in range(len(rays)) if i not in g})
         grown = list({frozenset(g): g for g in grown}.values())
         costs = []
         scaled = view._replace(own=view.own * size / lights)
-        for batch in range(0, len(grown), 256):
-            index = np.array(grown[batch : batch + 256])
+        for batch in range(0, len(grown), GROUP_BATCH):
+            index = np.array(grown[batch : batch + GROUP_BATCH])
             costs.append(np.asarray(_solve(rays[index].sum(1), along, scaled)[2]).min(1))
-        order = np.argsort(np.concatenate(costs))[:GROUPS]
+        order = np.argsort(np.concatenate(costs))[:LIGHT_GROUPS]
         start = [grown[i] for i in order]
     return np.array(start)

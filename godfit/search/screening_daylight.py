@@ -1,7 +1,8 @@
-"""Starting points for Hoffman-Preetham: a coarse look, as ``screen.py`` has for Mitchell's sum.
+"""Starting points for Hoffman-Preetham: a coarse screening, as for Mitchell's sum.
 
-Every combination of a grid of suns, turbidities, lobes and optical depths is tried on a few hundred
-pixels; the sun's irradiance enters linearly and is solved for exactly.
+Every combination of a grid of suns, turbidities, lobes and optical depths is evaluated on a few
+hundred pixels. The sun's irradiance enters linearly and is solved for exactly. See
+``screening.py``.
 """
 
 from __future__ import annotations
@@ -25,15 +26,21 @@ from godfit.io.image import LEVELS, decode
 from godfit.models.atmosphere import zenith_angle
 from godfit.models.hoffman_preetham import LEAST_DEPTH, HoffmanPreetham
 from godfit.scattering.radial.nearest import read_rays
-from godfit.search.screening import SIZE, apart, light_grid, places_for
+from godfit.search.screening import SCREENING_SIZE, distinct_starts, light_grid, light_places
 
-POINTS = 256
-TURBIDITIES, LOBES, DEPTHS = (1.3, 2.5, 6.0), (0.0, 0.5, 0.75, 0.9), (0.05, 0.4, 1.2, 3.0)
+DAYLIGHT_POINTS = 256
+"""Pixels of the small copy that are compared, each in three channels: they limit the time."""
+TURBIDITIES = (1.3, 2.5, 6.0)
+"""Turbidities that are tried: very clear, clear and hazy air."""
+LOBES = (0.0, 0.5, 0.75, 0.9)
+"""Asymmetries g of the Henyey-Greenstein phase function that are tried."""
+DEPTHS = (0.05, 0.4, 1.2, 3.0)
+"""Optical depths of the scene that are tried, from almost none to opaque."""
 
 
 class _Points(NamedTuple):
-    """What is known at the points of the screen: along the view from each its distance and
-    direction, the ordinary pass, the target, and whether that counts."""
+    """Values at the points of the small copy: along the view from each its distance and direction,
+    the ordinary pass, the target, and the weight, 1 or 0, of the point."""
 
     distance: Float[Array, " points"]
     direction: Float[Array, "points 3"]
@@ -62,10 +69,12 @@ def _solve(
         def shape(z):
             air = model.moved(jnp.concatenate([jnp.ones(1, z.dtype), z, sun])).air
             added = lit[:, None] * air.inscattered(points.distance, cos, zenith)
-            left = points.target - lit[:, None] * points.surface * air.transmitted(points.distance)
-            along, size = (trust * added * left).sum(), (trust * added**2).sum()
+            unexplained = points.target - lit[:, None] * points.surface * air.transmitted(
+                points.distance
+            )
+            along, size = (trust * added * unexplained).sum(), (trust * added**2).sum()
             gain = nonnegative_one(along, size)
-            return gain, (trust * (left - gain * added) ** 2).sum()
+            return gain, (trust * (unexplained - gain * added) ** 2).sum()
 
         return jax.vmap(shape)(shapes)
 
@@ -76,14 +85,19 @@ def _solve(
 def daylight_starts(
     model: HoffmanPreetham, picture: Picture, given: dict[str, float], *, keep: int, seed: int
 ) -> list[np.ndarray]:
-    """The ``keep`` best starting points in the model's coordinates, best first; see
-    ``screen.starts``."""
+    """The ``keep`` best starting points in the model's coordinates, best first. Parameters in
+    ``given`` are held at their values."""
     light = np.asarray(decode(picture.levels / np.float32(LEVELS), picture.transfer))
-    target = shrink(light, (SIZE, SIZE))
-    trust = shrink((picture.valid & ~picture.clipped).astype(np.float32), (SIZE, SIZE)) > 0.99
-    mask = shrink(grey(picture.mask), (SIZE, SIZE))
+    target = shrink(light, (SCREENING_SIZE, SCREENING_SIZE))
+    trust = (
+        shrink(
+            (picture.valid & ~picture.clipped).astype(np.float32), (SCREENING_SIZE, SCREENING_SIZE)
+        )
+        > 0.99
+    )
+    mask = shrink(grey(picture.mask), (SCREENING_SIZE, SCREENING_SIZE))
     h, w = target.shape[:2]
-    chosen = np.random.default_rng(seed).permutation(h * w)[:POINTS]
+    chosen = np.random.default_rng(seed).permutation(h * w)[:DAYLIGHT_POINTS]
     at = np.stack(
         [
             (chosen % w + 0.5) * mask.shape[1] / w - 0.5,
@@ -93,8 +107,13 @@ def daylight_starts(
     ).astype(np.float32)
     surface = np.zeros((len(chosen), 3), np.float32)
     if picture.background is not None:
-        surface = surface + shrink(picture.background, (SIZE, SIZE)).reshape(h * w, -1)[chosen]
-    suns, _ = places_for(light_grid(target.mean(-1), seed), given, 1)
+        surface = (
+            surface
+            + shrink(picture.background, (SCREENING_SIZE, SCREENING_SIZE)).reshape(h * w, -1)[
+                chosen
+            ]
+        )
+    suns, _ = light_places(light_grid(target.mean(-1), seed), given, 1)
     fine = ndimage.zoom(mask, 2, order=1, mode="nearest", grid_mode=True)
     lit = read_rays(jnp.asarray(fine), jnp.asarray(suns), jnp.asarray(at)).mean(1)
     shapes = _shapes(model, given)
@@ -109,7 +128,7 @@ def daylight_starts(
     gain, cost = np.asarray(gain), np.asarray(cost)
     held = np.array([given.get(name, np.nan) for name in model.parameters], np.float32)
     found = []
-    for i, j in apart(cost, suns, shapes[:, 1:], keep):
+    for i, j in distinct_starts(cost, suns, shapes[:, 1:], keep):
         z = np.array([max(gain[i, j], 1e-4), *shapes[j], *suns[i]], np.float32)
         z = np.asarray(model.moved(jnp.asarray(z), jnp.asarray(held)).coordinates(), np.float32)
         found.append(z)

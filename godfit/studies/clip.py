@@ -1,10 +1,10 @@
-"""Several frames of one clip: the shader's parameters are the same in all, light and occluders are
-each frame's own.
+"""Several frames of one clip: they share the shader's parameters; light and occluders are each
+frame's own.
 
-Frames are taken one after another and fitted alone, as pictures that come with nothing, each looked
-for, too, near the shader of the frame so far that was explained best; of each only its answer and
-covariance are kept, so that memory does not grow with their number. What they say of the shader is
-pooled number by number, see ``pooling.py``.
+Frames are fitted one after another, each alone, as bare pictures. Each search also starts near the
+shader of the frame with the least noise so far. Only a frame's estimate and covariance are kept, so
+that memory does not grow with their number. The shader's parameters are pooled one by one, see
+``pooling.py``.
 """
 
 from __future__ import annotations
@@ -36,18 +36,24 @@ from godfit.studies.pooling import Pool, pooled
 if TYPE_CHECKING:
     pass
 
-SHARED = len(SCATTERING)
-# Longest side of the copy of a frame that the report shows.
-SHOWN = 640
-TOO_FEW = "only {} of {} frames agree on the shader; look at their own fits, one by one"
+SHARED_COUNT = len(SCATTERING)
+"""Parameters that all frames share: exposure, decay, density and weight."""
+CLIP_SIDE = 640
+"""Pixels of the longer side of the first frame's copy, at most: the report shows no more."""
+REPORTED_GROWTH = 2.0
+"""Growth of the pooled variance from which a warning is given: less is chance."""
+TOO_FEW = "only {} of {} frames agree on the shader; inspect the fits of single frames"
+"""Message with the number of frames that agree, and of all."""
 LEFT_OUT = "{} of {} frames are left out, as they do not agree with the others"
-SCATTERED = "frames scatter {:.2g} times as much as they quote; errors are widened by that"
+"""Warning with the number of frames left out, and of all."""
+SCATTERED = "frames scatter {:.2g} times as much as their errors; errors are widened by that"
+"""Warning with the ratio."""
 
 
 class _Answer(NamedTuple):
-    """Of one frame alone: coordinates ``at`` (6,) of scattering and light, their ``covariance``
-    (6, 6), zero for those that are held, ``open_`` as in ``Found``, and the ``noise`` that is left,
-    in levels."""
+    """The fit of one frame alone: coordinates ``at`` (6,) of scattering and light, their
+    ``covariance`` (6, 6), zero for those that are held, ``open_`` as in ``Found``, and the
+    ``noise`` in levels."""
 
     name: str
     at: np.ndarray
@@ -57,11 +63,11 @@ class _Answer(NamedTuple):
     noise: float
 
     @property
-    def told(self) -> np.ndarray:
-        """(4,) what of the scattering it tells."""
-        told = (np.diag(self.covariance)[:SHARED] > 0) & (not self.message)
-        told[[index for index, _ in self.open_]] = False
-        return told
+    def determined(self) -> np.ndarray:
+        """(4,) which coordinates of the scattering the frame determines."""
+        determined = (np.diag(self.covariance)[:SHARED_COUNT] > 0) & (not self.message)
+        determined[[index for index, _ in self.open_]] = False
+        return determined
 
 
 def fit_clip(
@@ -79,7 +85,8 @@ def fit_clip(
     """Fit one shader, and a light for each frame, to several finished pictures.
 
     **Arguments:** as of ``godfit.fit``. `frames` are taken one at a time, so that a generator will
-    do; `valid` (h, w) holds for all of them; of a `pass_scale` that is not given each is asked.
+    do; `valid` (h, w) holds for all of them; a `pass_scale` that is not given is estimated from
+    each frame.
 
     **Returns:** a `ClipResult`. Raises `InputError`, a ValueError of one line, for frames that
     cannot be read, and for fewer than two.
@@ -98,11 +105,11 @@ def fit_clip(
             count = len(answers) + 1
             name = image.path or f"frame {count}"
             _check_size(name, image, valid)
-            found, said = unaided.found_in(
+            found, messages = unaided.found_in(
                 image, shading, valid, None, pass_scale, fix, start, seed,
                 lambda text, at=count: say(f"frame {at}: {text}"), _so_far(answers),
             )  # fmt: skip
-            notes += [f"{name}: {note}" for note in (*image.notes, *said)]
+            notes += [f"{name}: {note}" for note in (*image.notes, *messages)]
             warnings += found.remarks
             answers.append(_answer(name, found))
             if count == 1:
@@ -124,24 +131,26 @@ def _check_size(name: str, image: Image, valid: np.ndarray | None) -> None:
 
 
 def _small(image: Image) -> np.ndarray:
-    """(h, w, 3) a copy that is as large as the report needs."""
+    """(h, w, 3) copy of a frame for the report, at most CLIP_SIDE pixels a side."""
     values = image.encoded if image.encoded.ndim == 3 else image.encoded[..., None]
     values = np.broadcast_to(values, (*values.shape[:2], 3))
-    factor = -(-max(values.shape[:2]) // SHOWN)
+    factor = -(-max(values.shape[:2]) // CLIP_SIDE)
     return shrink(values, (values.shape[0] // factor, values.shape[1] // factor))
 
 
 def _answer(name: str, found: Found) -> _Answer:
     assert isinstance(found.problem.model, DiscLight)
     z, held = found.settled.coordinates, np.asarray(found.problem.held, np.float32)
-    at, slopes = (np.asarray(a, np.float64) for a in _of_the_shader(found.problem.model, z, held))
+    at, slopes = (
+        np.asarray(a, np.float64) for a in _shader_coordinates(found.problem.model, z, held)
+    )
     open_ = [(index, [i for i in others if i < len(at)]) for index, others in found.opened]
     covariance = slopes @ spread(found).covariance @ slopes.T
     return _Answer(name, at, covariance, open_, found.objection, found.settled.sigma)
 
 
 @cached_jit
-def _of_the_shader(model: DiscLight, coordinates: Vector, held: Vector):
+def _shader_coordinates(model: DiscLight, coordinates: Vector, held: Vector):
     """Coordinates (6,) of scattering and light and their derivatives (6, p) by those of a picture,
     whose gain is without the veil's share."""
 
@@ -152,54 +161,55 @@ def _of_the_shader(model: DiscLight, coordinates: Vector, held: Vector):
 
 
 def _shared(at: np.ndarray) -> np.ndarray:
-    """(4,) of coordinates (6,) what is pooled: exposure, attenuation along the whole ray (of decay
-    alone), density, and the logarithm of gain times density (of exposure times weight alone),
-    which frames tell to within factors."""
-    exposure, kappa, density, gain = at[:SHARED]
+    """(4,) the pooled quantities, from coordinates (6,): exposure; attenuation along the whole ray,
+    which depends on decay alone; density; and the logarithm of gain times density, which depends
+    on exposure times weight alone, and which frames determine to within a factor."""
+    exposure, kappa, density, gain = at[:SHARED_COUNT]
     return np.array([exposure, kappa * density, density, np.log(max(gain * density, FAINTEST))])
 
 
 def _slopes(at: np.ndarray) -> np.ndarray:
     """(4, 4) derivatives of ``_shared`` by the coordinates."""
-    _, kappa, density, gain = at[:SHARED]
-    out = np.eye(SHARED)
+    _, kappa, density, gain = at[:SHARED_COUNT]
+    out = np.eye(SHARED_COUNT)
     out[1, 1:3] = density, kappa
     out[3, 2:] = 1 / density, 1 / max(gain, FAINTEST)
     return out
 
 
 def _information(answer: _Answer) -> np.ndarray:
-    """(4, 4) the inverse variances of what is shared, 0 of what is not told. How they vary together
-    is not asked: where masks are a frame's own it claims to know combinations better than it
-    does, and of frames alike, which vary alike, the mean is the same."""
-    block, slopes = answer.covariance[:SHARED, :SHARED], _slopes(answer.at)
+    """(4, 4) inverse variances of the shared quantities, 0 where the frame does not determine them.
+    Their covariances are not used. Where masks are estimated for each frame they claim to determine
+    combinations better than they do; and where frames vary alike, the mean does not depend on
+    them."""
+    block, slopes = answer.covariance[:SHARED_COUNT, :SHARED_COUNT], _slopes(answer.at)
     variance = np.diag(slopes @ block @ slopes.T)
-    return np.diag(np.where(answer.told, 1 / np.where(answer.told, variance, 1.0), 0.0))
+    return np.diag(np.where(answer.determined, 1 / np.where(answer.determined, variance, 1.0), 0.0))
 
 
 def _pooled(answers: list[_Answer]) -> Pool:
-    """What frames say of the scattering together, in coordinates (4,)."""
+    """The pooled estimate of the scattering, in coordinates (4,)."""
     pool = pooled(
         np.stack([_shared(a.at) for a in answers]), np.stack([_information(a) for a in answers])
     )
     exposure, along, density, product = pool.mean
     mean = np.array([exposure, along / density, density, np.exp(product) / density])
-    told = np.isfinite(np.diag(pool.covariance))
-    known = np.where(told[:, None] & told, pool.covariance, 0.0)
+    determined = np.isfinite(np.diag(pool.covariance))
+    known = np.where(determined[:, None] & determined, pool.covariance, 0.0)
     back = np.linalg.inv(_slopes(mean))
-    covariance = np.where(told[:, None] & told, back @ known @ back.T, 0.0)
-    covariance[~told, ~told] = np.inf
+    covariance = np.where(determined[:, None] & determined, back @ known @ back.T, 0.0)
+    covariance[~determined, ~determined] = np.inf
     return pool._replace(mean=mean, covariance=covariance)
 
 
 def _so_far(answers: list[_Answer]) -> np.ndarray | None:
-    """(4,) coordinates of the scattering that the frame has of which the least is left, NaN where
-    it tells none: where the next may look for its own. What that finds there it tells alone."""
-    sound = [answer for answer in answers if not answer.message]
-    if not sound:
+    """(4,) coordinates of the scattering from the frame with the least noise, NaN where it
+    determines none. The next frame's search also starts there; its result is its own."""
+    converged = [answer for answer in answers if not answer.message]
+    if not converged:
         return None
-    best = min(sound, key=lambda answer: answer.noise)
-    return np.where(best.told, best.at[:SHARED], np.nan)
+    best = min(converged, key=lambda answer: answer.noise)
+    return np.where(best.determined, best.at[:SHARED_COUNT], np.nan)
 
 
 def _pooled_result(
@@ -212,30 +222,35 @@ def _pooled_result(
     """What the frames determine together; ``said`` are notes and warnings on single frames."""
     notes, warnings = said
     pool = _pooled(answers)
-    told = np.isfinite(np.diag(pool.covariance))
-    agrees = pool.agrees & [a.told.any() for a in answers]
-    first = answers[int(agrees.argmax())]
-    spread = np.zeros((SHARED + 2, SHARED + 2))
-    spread[:SHARED, :SHARED] = np.where(told[:, None] & told, pool.covariance, 0.0)
-    open_ = [o for o in first.open_ if not told[o[0]]]
-    held[SHARED:] = first.at[SHARED:]
+    determined = np.isfinite(np.diag(pool.covariance))
+    agreeing = pool.agrees & [a.determined.any() for a in answers]
+    first = answers[int(agreeing.argmax())]
+    spread = np.zeros((SHARED_COUNT + 2, SHARED_COUNT + 2))
+    spread[:SHARED_COUNT, :SHARED_COUNT] = np.where(
+        determined[:, None] & determined, pool.covariance, 0.0
+    )
+    open_ = [o for o in first.open_ if not determined[o[0]]]
+    held[SHARED_COUNT:] = first.at[SHARED_COUNT:]
     for index, _ in open_:
         held[index] = first.at[index]
-    free, used = np.append(told, [False, False]), np.append(shading.used[:SHARED], [False, False])
-    z = np.append(pool.mean, first.at[SHARED:])
+    free, used = (
+        np.append(determined, [False, False]),
+        np.append(shading.used[:SHARED_COUNT], [False, False]),
+    )
+    z = np.append(pool.mean, first.at[SHARED_COUNT:])
     solution = Solution(z.astype(np.float32), spread, free, held, open_)
     result = estimates(shading, solution, used)
     frames = tuple(
         Frame(
             a.name,
-            a.at[SHARED:],
-            np.sqrt(np.diag(a.covariance)[SHARED:]),
+            a.at[SHARED_COUNT:],
+            np.sqrt(np.diag(a.covariance)[SHARED_COUNT:]),
             *_alone(a, shading, used),
             _why(a, bool(ok)),
         )
-        for a, ok in zip(answers, agrees, strict=True)
+        for a, ok in zip(answers, agreeing, strict=True)
     )
-    count, whole = int(agrees.sum()), len(answers)
+    count, whole = int(agreeing.sum()), len(answers)
     converged = count >= max(2, whole / 2)
     if count < whole:
         warnings += (LEFT_OUT.format(whole - count, whole),)
@@ -257,18 +272,18 @@ def _pooled_result(
     )
 
 
-def _why(answer: _Answer, agrees: bool) -> str:
-    if answer.message or agrees:
+def _why(answer: _Answer, agreeing: bool) -> str:
+    if answer.message or agreeing:
         return answer.message
-    return "says something else of the shader than the others"
+    return "its shader differs from that of the other frames"
 
 
 def _alone(answer: _Answer, shading: AbstractModel, used: np.ndarray):
     """Parameters and products as one frame alone has them."""
-    told = np.diag(answer.covariance) > 0
-    held = np.full(len(told), np.nan)
+    determined = np.diag(answer.covariance) > 0
+    held = np.full(len(determined), np.nan)
     for index, _ in answer.open_:
         held[index] = answer.at[index]
     z = answer.at.astype(np.float32)
-    found = estimates(shading, Solution(z, answer.covariance, told, held, answer.open_), used)
+    found = estimates(shading, Solution(z, answer.covariance, determined, held, answer.open_), used)
     return found.params, found.combined

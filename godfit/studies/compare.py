@@ -1,10 +1,10 @@
-"""Which model a picture deserves: Mitchell's sum, Hoffman and Preetham's daylight or, where there
-is a canvas, the light in the plane.
+"""A comparison of models on one picture: Mitchell's sum, Hoffman and Preetham's daylight and, with
+a canvas, the light in the plane.
 
-All are fitted to the same values with the same likelihood, with the light where the scene has it
-and with the light free, and judged by Akaike's and Schwarz's criteria (Burnham & Anderson, Model
-Selection and Multimodel Inference, 2002, ch. 2): twice the negative log-likelihood, plus 2 or
-ln(values) for every parameter that the picture determines, the noise among them.
+All are fitted to the same values with the same likelihood, once with the light held where the scene
+has it and once with the light free. They are compared by Akaike's and Schwarz's criteria (Burnham &
+Anderson, Model Selection and Multimodel Inference, 2002, ch. 2): twice the negative log-likelihood,
+plus 2 or ln(values) for every parameter that the picture determines, the noise among them.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ def compare(
     **options: Any,
 ) -> Comparison:
     """Fit both models, and with a ``canvas`` that of the plane; arguments are those of
-    `godfit.fit`. ``light`` (u, v), or the scene's, is where the fits with a given light hold it;
-    without either there are none of these."""
+    `godfit.fit`. ``light`` (u, v), or the scene's, is where the light is held; without either, only
+    the fits with a free light are made."""
     say = progress or (lambda text: None)
     picture = read_source(target, options.get("transfer", "none"))
     place: dict[str, float] = {}
@@ -71,7 +71,8 @@ def compare(
             say(title)
             rows.append(_row(title, picture, mask, scene, name, fix, extra | options, say))
     if canvas is not None:
-        # Neither a shader's settings nor the pass it lays its light on mean anything there.
+        # A shader's samples, its pass scale and its background do not apply to the plane.
+
         away = ("samples", "pass_scale", "background")
         extra = {"canvas": canvas, "rays": rays}
         extra |= {k: v for k, v in options.items() if k not in away}

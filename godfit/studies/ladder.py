@@ -1,8 +1,8 @@
-"""The ladder: how much of a model a picture is given, from a constant veil upwards.
+"""The ladder: nested models of one picture, from a constant veil upwards.
 
-A rung frees what the one below it holds, and is started from there and from the fit of the whole
-shader with what it holds put in: nested models, of which the larger is never the worse. All are
-fitted to the same values with the same likelihood, noise among the unknowns.
+A rung frees parameters that the one below holds. It starts from the fit below, and from the fit of
+the whole shader with the held values put in. So the larger model is never the worse. All are fitted
+to the same values with the same likelihood; the noise is one of the unknowns.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from godfit.inference.distinct import DOUBT, distinct
 from godfit.inference.information import misfit
 from godfit.inference.noise import EXPLAINED, WITHIN_ROUNDING
 from godfit.inference.observation import Observation
-from godfit.inference.problem import PIXELS, Problem, pixels_used
+from godfit.inference.problem import SEARCH_PIXELS, Problem, pixels_used
 from godfit.inference.settle import settle, veil
 from godfit.inference.solver import Tangent
 from godfit.inference.strategy import left_open
@@ -30,31 +30,40 @@ from godfit.report.select import Rung
 from godfit.runtime.parallel import parallel_map
 from godfit.search import multigrid
 
-# What DawnTime and Vesper ship, for shaders that publish no defaults.
-SHIPPED = {"decay": 0.99, "density": 0.8, "weight": 0.8}
-# Values that rungs are fitted to: enough for differences that anyone would see.
-VALUES = 1 << 15
+SHIPPED_DEFAULTS = {"decay": 0.99, "density": 0.8, "weight": 0.8}
+"""Values that DawnTime and Vesper ship, for shaders that publish no defaults."""
+LADDER_VALUES = 1 << 15
+"""Values that rungs are fitted to: enough for differences that are visible."""
+SAME_START = 1e-3
+"""Relative difference of two starts below which they are one."""
+INFINITE_COORDINATE = 1e4
+"""Stands for the coordinate of decay = 0, which is infinite."""
+SECOND_LIGHT_GAIN = 50.0
+"""Gain in log-likelihood from which colour is tested on top of a second light."""
+RANKING_ROUNDS = 4
+"""Rounds of settling that rank the starts on a few pixels."""
 Say = Callable[[str], None]
+"""Reports a stage of the progress."""
 
 
 class Ladder:
-    """``base`` is the fit of the whole shader with one light; ``place`` (u, v) is where the light
-    is taken to be before it is fitted."""
+    """``base`` is the fit of the whole shader with one light; ``place`` (u, v) is the position of
+    the light in rungs that do not fit it."""
 
     def __init__(self, base: FitResult, place: tuple[float, float], seed: int, say: Say) -> None:
         assert isinstance(base.model, Mitchell)
         self.base, self.shader, self.seed, self.say = base, base.model, seed, say
         self.picture = base.picture
-        self.observation = self.picture.observe(pixels_used(self.picture, seed, VALUES))
-        self.few = self.picture.observe(self.picture.informative(PIXELS, seed))
+        self.observation = self.picture.observe(pixels_used(self.picture, seed, LADDER_VALUES))
+        self.ranking_pixels = self.picture.observe(self.picture.informative(SEARCH_PIXELS, seed))
         self.views = list(multigrid.blurred_views(self.picture.small, seed))
         published = self.shader.convention.defaults
-        self.held = {name: published.get(name, SHIPPED[name]) for name in SHIPPED}
+        self.held = {name: published.get(name, SHIPPED_DEFAULTS[name]) for name in SHIPPED_DEFAULTS}
         self.held |= {"light_x": place[0], "light_y": place[1]}
 
     def rungs(self) -> list[Rung]:
-        """From least to most. Those that cannot be told from the one below are left out: another
-        number of samples where none suits better, colour where there is none."""
+        """The rungs from the smallest model to the largest. Rungs that equal the one below are left
+        out: another number of samples where none is better, colour where the target is grey."""
         found = [self.veil()]
         point = self._coordinates(self.shader)
         box = self.shader.convention.box
@@ -77,7 +86,7 @@ class Ladder:
         def climbed(step: int) -> list[np.ndarray]:
             starts = [point]
             if np.array_equal(self._problem(self.shader, given[step]).free, self.base.free):
-                # This is the fit that the ladder begins with.
+                # This is the fit of the whole shader, which is at hand.
                 return starts
             if "light_x" in steps[step][2]:
                 starts += starts_of(
@@ -116,7 +125,8 @@ class Ladder:
             self.say("+ second light")
             rung = self._second((found or [full])[-1], held)
             found.append(rung)
-            if rung.settled.log_likelihood > (found or [full])[0].settled.log_likelihood + 50:
+            before = (found or [full])[0].settled.log_likelihood
+            if rung.settled.log_likelihood > before + SECOND_LIGHT_GAIN:
                 assert isinstance(rung.model, Mitchell)
                 top = rung.model
         if self.picture.channels == 3 and not _same_channels(self.picture.levels):
@@ -125,7 +135,7 @@ class Ladder:
         return found
 
     def veil(self) -> Rung:
-        """One value everywhere."""
+        """The lowest rung: one value everywhere."""
         settled = veil(self.observation)
         (level,), count = settled.coordinates, len(self.observation.lo)
         prediction, ones = np.full(count, level), np.ones((1, count), np.float32)
@@ -135,7 +145,7 @@ class Ladder:
         )  # fmt: skip
 
     def _second(self, below: Rung, held: Mapping[str, float]) -> Rung:
-        """Another light, wherever it helps most, the first where it was and free to go."""
+        """Another light, where it lowers the cost most; the first one starts where it was."""
         assert isinstance(below.model, Mitchell)
         one = below.model
         two = Mitchell(
@@ -185,16 +195,18 @@ class Ladder:
         given: Mapping[str, float],
         starts: list[np.ndarray],
     ) -> Rung:
-        """The likeliest point from ``starts`` with parameters ``given`` held."""
+        """The point of largest likelihood from ``starts`` with parameters ``given`` held."""
         problem = self._problem(model, given)
         points = [np.asarray(z, np.float32) for z in starts]
-        points = self._apart(points, problem.free)
+        points = self._distinct_starts(points, problem.free)
         if len(points) > 1:
-            # A few pixels rank them; those that these cannot tell apart go on.
-            ends = parallel_map(lambda z: settle(z, problem, self.few, rounds=4)[0], points)
+            # A few pixels rank the starts; those that are too close to rank go on.
+            ends = parallel_map(
+                lambda z: settle(z, problem, self.ranking_pixels, rounds=RANKING_ROUNDS)[0], points
+            )
             best = max(end.log_likelihood for end in ends)
             points = [e.coordinates for e in ends if e.log_likelihood > best - DOUBT]
-            points = self._apart(points, problem.free)
+            points = self._distinct_starts(points, problem.free)
         settled, tangent = max(
             (settle(z, problem, self.observation) for z in points),
             key=lambda found: found[0].log_likelihood,
@@ -205,20 +217,20 @@ class Ladder:
             int(free.sum()) + 1,
         )  # fmt: skip
 
-    def _apart(self, points: list[np.ndarray], free: np.ndarray) -> list[np.ndarray]:
-        """Those that differ in what is ``free``: the rest is held at the same values in all."""
+    def _distinct_starts(self, points: list[np.ndarray], free: np.ndarray) -> list[np.ndarray]:
+        """Points that differ in ``free`` coordinates: the others are held at the same values."""
         finite = [z for z in points if np.isfinite(z).all()]
-        apart = distinct(finite, lambda z, k: np.allclose(z[free], k[free], rtol=1e-3))
-        return apart or points[:1]
+        differing = distinct(finite, lambda z, k: np.allclose(z[free], k[free], rtol=SAME_START))
+        return differing or points[:1]
 
     def _coordinates(self, model: AbstractModel) -> np.ndarray:
         z = np.asarray(model.coordinates(), np.float32)
         # decay = 0 has no finite coordinate.
-        return np.nan_to_num(z, posinf=1e4)
+        return np.nan_to_num(z, posinf=INFINITE_COORDINATE)
 
 
 def like_noise(rung: Rung, observation: Observation) -> bool:
-    """Whether what the rung leaves may be noise."""
+    """Whether the residual of the rung may be noise."""
     return rung.settled.sigma < WITHIN_ROUNDING or (
         misfit(rung.tangent.prediction, observation).like_noise
     )

@@ -1,13 +1,13 @@
-"""What several frames say of the same few numbers, together.
+"""The mean of several frames' estimates of the same few parameters.
 
-Each frame's answer and its covariance are what is left of its likelihood (Laplace); their product
-is the mean weighted by information, as in any meta-analysis. Frames can be wrong as a whole: a
-frame weighs less the farther off it is (multivariate Student's t: Lange, Little & Taylor, JASA 84
-(1989), 881), and beyond doubt is left out. Where frames scatter by more than they quote, the error
-of the mean is widened by as much (Birge, Phys. Rev. 40 (1932), 207); and where the mean moves by
-more than that from leaving one frame out after the other, by as much as this says (the jackknife:
-Tukey, Ann. Math. Stat. 29 (1958), 614). A frame's covariance can claim far too much of some
-combination, which its own single numbers do not show.
+A frame's likelihood is represented by its estimate and covariance (Laplace). The product of the
+likelihoods is the mean weighted by information, as in any meta-analysis. Frames can be wrong as a
+whole: a frame weighs less the farther off it is (multivariate Student's t: Lange, Little & Taylor,
+JASA 84 (1989), 881), and beyond a limit is left out. Where frames scatter by more than their
+errors, the error of the mean is widened by as much (Birge, Phys. Rev. 40 (1932), 207). Where
+leaving out one frame after the other moves the mean by more than its error, the error is widened
+by that too (the jackknife: Tukey, Ann. Math. Stat. 29 (1958), 614). A frame's covariance can claim
+far too small an error for some combination, which its single errors do not show.
 """
 
 from __future__ import annotations
@@ -17,15 +17,18 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri, ndtri, stdtrit
 
-# Degrees of freedom of the t, and the chance of a sound frame to be left out.
-TAILS, CHANCE = 4.0, 1e-3
-ROUNDS = 100
+T_FREEDOM = 4.0
+"""Degrees of freedom of Student's t: robust, and nearly as efficient as the normal distribution."""
+LEFT_OUT_CHANCE = 1e-3
+"""Probability that a sound frame is left out."""
+POOLING_ROUNDS = 100
+"""Rounds of reweighting, at most: they end once the mean stays."""
 
 
 class Pool(NamedTuple):
-    """``mean`` (k,) and its ``covariance`` (k, k), whose diagonal is infinite where no frame says
-    anything; ``agrees`` (f,) is False for frames left out; ``growth`` is by how much the variance
-    was widened."""
+    """``mean`` (k,) and its ``covariance`` (k, k), whose diagonal is infinite where no frame
+    determines the parameter; ``agrees`` (f,) is False for frames left out; ``growth`` is the factor
+    by which the variance was widened."""
 
     mean: np.ndarray
     covariance: np.ndarray
@@ -35,15 +38,15 @@ class Pool(NamedTuple):
 
 def pooled(answers: np.ndarray, informations: np.ndarray) -> Pool:
     """The mean of ``answers`` (f, k) whose inverse covariances are ``informations`` (f, k, k), 0 in
-    the rows of what a frame does not tell."""
+    rows that a frame does not determine."""
     answers, informations = np.asarray(answers, float), np.asarray(informations, float)
     count = np.count_nonzero(np.diagonal(informations, axis1=1, axis2=2) > 0, axis=1)
-    limit = chdtri(np.maximum(count, 1), CHANCE)
-    # From the frame that the others are least far from, no one frame too far.
+    limit = chdtri(np.maximum(count, 1), LEFT_OUT_CHANCE)
+    # The first mean is the frame with the smallest distances to the others, each one limited.
     apart = np.stack([_distances(a, answers, informations) for a in answers])
     mean = answers[np.minimum(apart, limit[None]).sum(1).argmin()]
-    for _ in range(ROUNDS):
-        weights = (TAILS + count) / (TAILS + _distances(mean, answers, informations))
+    for _ in range(POOLING_ROUNDS):
+        weights = (T_FREEDOM + count) / (T_FREEDOM + _distances(mean, answers, informations))
         before, mean = mean, _mean(answers, informations, weights, mean)
         if np.allclose(mean, before, rtol=1e-9, atol=1e-12):
             break
@@ -52,28 +55,32 @@ def pooled(answers: np.ndarray, informations: np.ndarray) -> Pool:
         agrees[:] = True
     weights = agrees.astype(float)
     mean = _mean(answers, informations, weights, mean)
-    left = float(_distances(mean, answers, informations)[agrees].sum())
+    misfit = float(_distances(mean, answers, informations)[agrees].sum())
     freedom = int(count[agrees].sum()) - int(count.max(initial=0))
-    growth = max(1.0, left / freedom) if freedom > 0 else 1.0
+    growth = max(1.0, misfit / freedom) if freedom > 0 else 1.0
     whole = np.tensordot(weights, informations, 1)
-    told = np.diag(whole) > 0
-    covariance = np.diag(np.where(told, 0.0, np.inf))
-    covariance[np.ix_(told, told)] = growth * np.linalg.inv(whole[np.ix_(told, told)])
-    size = np.sqrt(np.diag(covariance)[told])
-    moved = _left_out(mean, answers[agrees], informations[agrees])[told]
+    determined = np.diag(whole) > 0
+    covariance = np.diag(np.where(determined, 0.0, np.inf))
+    covariance[np.ix_(determined, determined)] = growth * np.linalg.inv(
+        whole[np.ix_(determined, determined)]
+    )
+    size = np.sqrt(np.diag(covariance)[determined])
+    moved = _jackknife_errors(mean, answers[agrees], informations[agrees])[determined]
     wider = np.maximum(1.0, moved / size)
-    covariance[np.ix_(told, told)] *= np.outer(wider, wider)
+    covariance[np.ix_(determined, determined)] *= np.outer(wider, wider)
     return Pool(mean, covariance, agrees, growth)
 
 
-def _left_out(mean: np.ndarray, answers: np.ndarray, informations: np.ndarray) -> np.ndarray:
-    """(k,) standard errors of the mean by the jackknife, as wide as so few frames ask for; 0 where
-    one frame alone tells."""
+def _jackknife_errors(
+    mean: np.ndarray, answers: np.ndarray, informations: np.ndarray
+) -> np.ndarray:
+    """(k,) standard errors of the mean by the jackknife, widened for the small number of frames; 0
+    where there is one frame only."""
     count = len(answers)
     if count < 2:
         return np.zeros(len(mean))
-    kept = ~np.eye(count, dtype=bool)
-    means = np.stack([_mean(answers, informations, k.astype(float), mean) for k in kept])
+    others = ~np.eye(count, dtype=bool)
+    means = np.stack([_mean(answers, informations, k.astype(float), mean) for k in others])
     error = np.sqrt((count - 1) / count * ((means - means.mean(0)) ** 2).sum(0))
     return error * stdtrit(count - 1, 0.975) / ndtri(0.975)
 
@@ -85,10 +92,10 @@ def _distances(mean: np.ndarray, answers: np.ndarray, informations: np.ndarray) 
 
 
 def _mean(answers, informations, weights, otherwise) -> np.ndarray:
-    """The weighted mean, ``otherwise`` (k,) in what no frame tells."""
+    """(k,) the weighted mean; ``otherwise`` (k,) where no frame determines a parameter."""
     whole = np.tensordot(weights, informations, 1)
     pull = np.einsum("f,fij,fj->i", weights, informations, answers)
-    told = np.diag(whole) > 0
+    determined = np.diag(whole) > 0
     mean = np.array(otherwise)
-    mean[told] = np.linalg.solve(whole[np.ix_(told, told)], pull[told])
+    mean[determined] = np.linalg.solve(whole[np.ix_(determined, determined)], pull[determined])
     return mean

@@ -1,10 +1,10 @@
 """The posterior of a fit: NUTS on the likelihood of the fitted picture.
 
 The prior is flat in the fit's coordinates inside their bounds and in the logarithm of the noise.
-The model is replaced by its tangent, which is rendered once; all values of the picture count, so
-that nothing is lost but what the tangent leaves out. Draws are made with the No-U-Turn sampler
-(Hoffman & Gelman, JMLR 15 (2014), 1593) of blackjax, in coordinates that the fit's covariance
-whitens; a bound is a mirror.
+The model is replaced by its tangent, which is rendered once. All values of the picture count, so
+that the tangent is the only approximation. Draws are made with the No-U-Turn sampler (Hoffman &
+Gelman, JMLR 15 (2014), 1593) of blackjax, in coordinates that the fit's covariance whitens.
+Coordinates beyond a bound are mirrored at it.
 """
 
 from __future__ import annotations
@@ -26,14 +26,20 @@ from godfit.inference.settle import Settled
 from godfit.inference.solver import tangent_at
 from godfit.report.result import FitResult
 
-DRAWS, WARM_UP = 4000, 500
-MIDDLE = (0.025, 0.975)
+POSTERIOR_DRAWS = 4000
+"""Draws of the posterior: an end of the middle 95% then has 100 of them beyond it."""
+WARM_UP_STEPS = 500
+"""Steps in which the sampler adapts its step size and mass matrix: coordinates are whitened."""
+CREDIBLE_QUANTILES = (0.025, 0.975)
+"""Quantiles between which the middle 95% lies."""
+COVARIANCE_JITTER = 1e-9
+"""Added to the unit diagonal of the covariance, which rounding may make singular."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Posterior:
     """``draws`` (n, p) of the parameters ``names``, in their units; ``noise_levels`` (n,);
-    ``divergent`` is the share of steps that the sampler could not follow."""
+    ``divergent`` is the share of steps at which the sampler's trajectory diverged."""
 
     names: tuple[str, ...]
     draws: Float[np.ndarray, "n p"]
@@ -42,7 +48,7 @@ class Posterior:
 
     def interval(self, name: str) -> tuple[float, float]:
         """The middle 95% of a parameter's draws."""
-        low, high = np.quantile(self.draws[:, self.names.index(name)], MIDDLE)
+        low, high = np.quantile(self.draws[:, self.names.index(name)], CREDIBLE_QUANTILES)
         return float(low), float(high)
 
 
@@ -68,10 +74,11 @@ def with_posterior(result: FitResult, drawn: Posterior) -> FitResult:
 
 
 def posterior(
-    result: FitResult, *, draws: int = DRAWS, warm_up: int = WARM_UP, seed: int = 0
+    result: FitResult, *, draws: int = POSTERIOR_DRAWS, warm_up: int = WARM_UP_STEPS, seed: int = 0
 ) -> Posterior:
-    """Draws from the posterior about a fit. Raises InputError without blackjax, and for a fit that
-    did not converge, which has no tangent worth having."""
+    """Draws from the posterior about a fit. Raises InputError without blackjax, for a fit without
+    a mask or a scene, for one with simulated errors, and for one that did not converge: its tangent
+    is not a valid approximation."""
     require()
     if result.picture.foreign:
         raise InputError("posterior: expected a fit with a mask or a scene, got neither; give one")
@@ -96,16 +103,16 @@ def _posterior(result: FitResult, draws: int, warm_up: int, seed: int) -> Poster
     covariance = at.covariance(free)[np.ix_(moving, moving)]
     size = np.sqrt(np.diag(covariance))
     root = size[:, None] * np.linalg.cholesky(
-        covariance / np.outer(size, size) + 1e-9 * np.eye(len(moving))
+        covariance / np.outer(size, size) + COVARIANCE_JITTER * np.eye(len(moving))
     )
-    # Levels by whitened coordinate.
+    # Derivatives of the levels by whitened coordinates.
     rows = jnp.asarray((root / scale[moving, None]).T @ tangent.jacobian[moving], jnp.float32)
     lower, upper = ((np.asarray(b) - z)[moving] for b in model.bounds())
     # The pixels of an upsampled pass share its texels.
     share = float(np.prod(picture.mask.shape[:2]) / np.prod(picture.size))
     floor = float(SIGMAS[0])
     start = float(np.log(max(result.noise_levels, floor) / floor))
-    # What n values know the logarithm of their noise to.
+    # The standard error of the logarithm of the noise from n values.
     unit = (2 * share * len(tangent.prediction)) ** -0.5
     density = _density(
         jnp.asarray(tangent.prediction), rows, observation.lo, observation.hi, floor, share
@@ -148,7 +155,7 @@ def _posterior(result: FitResult, draws: int, warm_up: int, seed: int) -> Poster
 
 
 def _parameters(result: FitResult, z, moving: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """(n, p) parameters at steps from ``z``, by the model: the map is not straight."""
+    """(n, p) parameters at steps from ``z``, by the model itself: the map is not linear."""
     model = result.model
 
     def values(step):
@@ -161,7 +168,7 @@ def _parameters(result: FitResult, z, moving: np.ndarray, steps: np.ndarray) -> 
 
 def _density(prediction, rows, lo, hi, floor: float, share: float):
     """Log-likelihood by whitened coordinates (q,) and the logarithm of the noise over ``floor``,
-    with its slopes made in the same pass over the values."""
+    with its slopes, computed in the same pass over the values."""
 
     @jax.custom_vjp
     def density(u: Float[Array, " q"], s: Float[Array, ""]) -> Float[Array, ""]:
@@ -171,7 +178,7 @@ def _density(prediction, rows, lo, hi, floor: float, share: float):
         sigma = floor * jnp.exp(s)
         levels = prediction + u @ rows
         pixel = interval((lo - levels) / sigma, (hi - levels) / sigma)
-        # Of points, the density: see ``likelihood.log_likelihood``.
+        # The likelihood of a point is the density: see ``likelihood.log_likelihood``.
         log = jnp.where(lo == hi, pixel.log - jnp.log(sigma), pixel.log).sum()
         by_u = rows @ (pixel.slope / sigma)
         by_s = -(pixel.curvature - pixel.slope**2).sum()

@@ -1,9 +1,9 @@
-"""Profile likelihood: the values of one parameter that the picture does not rule out.
+"""Profile likelihood: the interval of one parameter that the picture does not exclude.
 
-The parameter is held at a value and all the others, the noise among them, are fitted anew; the 95%
+The parameter is held at a value and all the others, the noise among them, are fitted again. The 95%
 interval is where twice the log-likelihood has fallen by less than 3.84, the quantile of chi-squared
-(Wilks 1938; Venzon & Moolgavkar, Applied Statistics 37 (1988), 87). It need not be symmetric, and
-it ends at the parameter's own bound where the likelihood has not fallen that far, as at decay = 1.
+(Wilks 1938; Venzon & Moolgavkar, Applied Statistics 37 (1988), 87). It need not be symmetric. It
+ends at the parameter's own bound where the likelihood has not fallen that far, as at decay = 1.
 
 The likelihood is profiled on the model's tangent, rendered once. Where noise makes the interval so
 wide that the tangent may be wrong at its ends, they are corrected with the model itself.
@@ -33,13 +33,16 @@ from godfit.inference.solver import Tangent
 from godfit.models.base import AbstractModel, Vector
 from godfit.report.result import FitResult
 
-# The 95% quantile of chi-squared with one degree of freedom, and its root.
-QUANTILE, ROOT = 3.841459, 1.959964
-# Root of the fall in log-likelihood that an end may be off by.
-CLOSE = 0.02
-TRIES = 12
-# Likelihood is not profiled where the model's tangent is as good as the model.
+ROOT_CHI_SQUARED_95 = 1.959964
+"""Root of 3.84, the 95% quantile of chi-squared with one degree of freedom."""
+ROOT_TOLERANCE = 0.02
+"""Error of the root of the fall in log-likelihood at an end: a hundredth of the interval."""
+TANGENT_TRIES = 12
+"""Values at which the tangent's likelihood is profiled to find an end, at most."""
 RENDERED_TRIES = 5
+"""Values at which the model's likelihood is profiled to correct an end, at most: each renders."""
+LEAST_PART = 0.02
+"""Share of a bracket that a new value keeps from either end: both must come nearer."""
 
 Fall = Callable[[float], float]
 
@@ -80,9 +83,9 @@ def _interval(result: FitResult, name: str) -> tuple[float, float]:
     observation = picture.observe(pixels_used(picture, result.seed))
     # The pixels of an upsampled pass share its texels.
     share = float(np.prod(picture.mask.shape[:2]) / np.prod(picture.size))
-    line = _Line(result, observation, index)
+    line = _ProfileLine(result, observation, index)
     low, high = (
-        _end(line.on_tangent, best, way * line.stderr, bound, share, TRIES)
+        _end(line.on_tangent, best, way * line.stderr, bound, share, TANGENT_TRIES)
         for way, bound in ((-1, row.lower), (1, row.upper))
     )
     if result.noise_levels > WITHIN_ROUNDING:
@@ -96,8 +99,10 @@ def _interval(result: FitResult, name: str) -> tuple[float, float]:
 def _end(
     likelihood: Fall, best: float, step: float, bound: float, share: float, tries: int
 ) -> float:
-    """Where the log-likelihood has fallen by half of QUANTILE from its top at ``best``; ``step``
-    is a guess of how far that is, with its sign. The root of the fall is nearly a straight line."""
+    """The value at which the root of twice the fall in log-likelihood from its top, at ``best``, is
+    ROOT_CHI_SQUARED_95. ``step`` is a first guess of the distance, with its sign. That root is
+    nearly a straight line."""
+
     if step == 0:
         return best
     top = likelihood(best)
@@ -106,21 +111,24 @@ def _end(
     for _ in range(tries):
         fall = 2 * share * (top - likelihood(value))
         root = math.copysign(math.sqrt(abs(fall)), fall)
-        away = abs(value - best)
-        if abs(root - ROOT) < CLOSE or (value == bound and root < ROOT):
+        distance = abs(value - best)
+        if abs(root - ROOT_CHI_SQUARED_95) < ROOT_TOLERANCE or (
+            value == bound and root < ROOT_CHI_SQUARED_95
+        ):
             break
-        if root < ROOT:
-            inner = (away, max(root, 0.0))
+        if root < ROOT_CHI_SQUARED_95:
+            inner = (distance, max(root, 0.0))
         else:
-            outer = (away, root)
+            outer = (distance, root)
         if outer is None:
-            slope = (inner[1] or 0.3 * ROOT) / max(inner[0], 1e-30)
-            away = min(ROOT / slope, 4 * inner[0]) if inner[0] else 2 * away
+            slope = (inner[1] or 0.3 * ROOT_CHI_SQUARED_95) / max(inner[0], 1e-30)
+            distance = min(ROOT_CHI_SQUARED_95 / slope, 4 * inner[0]) if inner[0] else 2 * distance
         else:
-            part = (ROOT - inner[1]) / (outer[1] - inner[1])
-            # Never all the way to either end: both must come nearer.
-            away = inner[0] + min(max(part, 0.02), 0.98) * (outer[0] - inner[0])
-        value = _inside(best + math.copysign(away, step), bound, step)
+            part = (ROOT_CHI_SQUARED_95 - inner[1]) / (outer[1] - inner[1])
+            # A new value keeps its distance from either end, so that both come nearer.
+            part = min(max(part, LEAST_PART), 1 - LEAST_PART)
+            distance = inner[0] + part * (outer[0] - inner[0])
+        value = _inside(best + math.copysign(distance, step), bound, step)
     return value
 
 
@@ -149,8 +157,8 @@ def _linearise(
     return jax.vmap(move, out_axes=(None, 0))((jnp.eye(y.shape[0], dtype=y.dtype),))
 
 
-class _Line:
-    """The best fits with one parameter held."""
+class _ProfileLine:
+    """The fits of largest likelihood along a line: one parameter is held at each value."""
 
     def __init__(self, result: FitResult, observation: Observation, index: int) -> None:
         self.index = index
@@ -172,7 +180,7 @@ class _Line:
         moving = self.others | (np.arange(len(z)) == index)
         covariance = evidence(self.at, self.tangent, observation).covariance(moving)
         variance = max(float(covariance[index, index]), 1e-24)
-        self.stderr = ROOT * math.sqrt(variance)
+        self.stderr = ROOT_CHI_SQUARED_95 * math.sqrt(variance)
         self.follow = np.where(self.others, covariance[:, index] / variance, 0.0)
         self.found: dict[float, Settled] = {}
 

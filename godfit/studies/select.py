@@ -1,9 +1,9 @@
-"""How much of a model does a picture need? The smallest that is as good as the best.
+"""The smallest of the ladder's models that is as good as the best.
 
-Judged by Akaike's and Schwarz's criteria (Burnham & Anderson, Model Selection and Multimodel
-Inference, 2002, ch. 2) and by pixels held out: the picture is cut into blocks, one half of them
-fitted and the other predicted, and the other way round; the spread of the blocks says how sure the
-difference between two models is (Vuong, Econometrica 57 (1989), 307).
+Models are compared by Akaike's and Schwarz's criteria (Burnham & Anderson, Model Selection and
+Multimodel Inference, 2002, ch. 2) and by held-out pixels. The picture is cut into blocks; one half
+of them is fitted and the other predicted, and the other way round. The spread of the blocks gives
+the error of the difference between two models (Vuong, Econometrica 57 (1989), 307).
 """
 
 from __future__ import annotations
@@ -32,10 +32,14 @@ from godfit.runtime.parallel import parallel_map
 from godfit.scattering.taps import CONVENTIONS
 from godfit.scenes.scene import Scene, read_scene
 from godfit.scenes.view import in_single_precision, light_on_screen
-from godfit.studies.ladder import VALUES, Ladder, like_noise
+from godfit.studies.ladder import LADDER_VALUES, Ladder, like_noise
 
-# Pixels a side of the blocks that are held out, and values that are enough to tell.
-BLOCK, HELD_OUT_VALUES = 16, 1 << 16
+HELD_OUT_BLOCK = 16
+"""Pixels a side of the blocks that are held out: neighbours in a block are correlated."""
+HELD_OUT_VALUES = 1 << 16
+"""Values that held-out pixels are drawn from, at most: they limit the time."""
+OVERSHOT_DENSITY = 1e-6
+"""Rounding error by which an equivalent density may exceed 1."""
 
 
 def select(
@@ -50,12 +54,15 @@ def select(
     progress: Callable[[str], None] | None = None,
     **options: Any,
 ) -> Selection:
-    """Climb the ladder; arguments are those of `godfit.fit`. ``light`` (u, v), else the scene's,
-    else the middle, is where rungs without a light of their own have it. With a scene, or with
-    ``fov`` and ``distance``, Hoffman and Preetham's daylight is fitted as well."""
+    """Fit the ladder's models and select one; arguments are those of `godfit.fit`.
+
+    ``light`` (u, v), else the scene's, else the middle, is the position of the light in rungs that
+    do not fit it. With a scene, or with ``fov`` and ``distance``, Hoffman and Preetham's daylight
+    is fitted as well. Raises InputError for more than one light.
+    """
     began, say = time.perf_counter(), progress or (lambda text: None)
     if options.get("lights", 1) != 1:
-        raise InputError("select: expected lights 1, got more; it asks itself for a second")
+        raise InputError("select: expected lights 1, got more; it adds a second light itself")
     with jax.enable_x64(False):
         if scene is not None and not isinstance(scene, Scene):
             scene = read_scene(scene)
@@ -74,20 +81,20 @@ def select(
             progress=say,
             channels=channels,
             inquire=False,
-            max_values=VALUES,
+            max_values=LADDER_VALUES,
             **options,
         )
         ladder = Ladder(base, place, seed, say)
         rungs = ladder.rungs()
         say("held-out pixels")
         share = base.pixels_effective / base.pixels
-        rows, chosen = _judged(rungs, ladder, share)
+        rows, chosen = _compared(rungs, ladder, share)
         daylight = None
         if geometry:
             shared = {k: v for k, v in options.items() if k in ("background", "valid", "transfer")}
             daylight = fit(
                 source, mask=mask, scene=scene, model="hoffman-preetham", fov=fov,
-                distance=distance, channels=3, inquire=False, max_values=VALUES, seed=seed,
+                distance=distance, channels=3, inquire=False, max_values=LADDER_VALUES, seed=seed,
                 progress=say, **shared,
             )  # fmt: skip
         same = _equivalent(rows[chosen].rung, base)
@@ -95,8 +102,9 @@ def select(
     return Selection(tuple(rows), chosen, same, base, daylight, seconds)
 
 
-def _judged(rungs: list[Rung], ladder: Ladder, share: float) -> tuple[list[Row], int]:
-    """The rows, and which of them is recommended. Of correlated values only a ``share`` counts."""
+def _compared(rungs: list[Rung], ladder: Ladder, share: float) -> tuple[list[Row], int]:
+    """The rows, and the index of the recommended one. Only a ``share`` of correlated values counts
+    as independent."""
     observation = ladder.observation
     values = share * len(np.asarray(observation.lo))
     lo, hi = np.asarray(observation.lo), np.asarray(observation.hi)
@@ -110,8 +118,8 @@ def _judged(rungs: list[Rung], ladder: Ladder, share: float) -> tuple[list[Row],
     for rung, likelihood, schwarz, score in zip(rungs, likelihoods, bics, scores, strict=True):
         behind = scores[best] - score
         error = math.sqrt(len(behind) * float(behind.var()))
-        left = np.where(known, rung.tangent.prediction - middle, 0)
-        rmse = math.sqrt(float(np.square(left).sum(dtype=np.float64)) / max(known.sum(), 1))
+        residual = np.where(known, rung.tangent.prediction - middle, 0)
+        rmse = math.sqrt(float(np.square(residual).sum(dtype=np.float64)) / max(known.sum(), 1))
         total = sizes[0].sum()
         rows.append(
             Row(
@@ -132,9 +140,9 @@ def _judged(rungs: list[Rung], ladder: Ladder, share: float) -> tuple[list[Row],
 def _as_good(row: Row, best: Row) -> bool:
     """Whether ``row`` is within the uncertainty of ``best``."""
     if row.rung.settled.sigma <= EXPLAINED:
-        # Even the rounding of every pixel is explained: there is nothing for a larger model to do.
+        # Even the rounding of every pixel is explained: a larger model cannot be better.
         return True
-    # What gains nothing on pixels that were not fitted is not known to be there.
+    # A model that gains nothing on held-out pixels is not supported by them.
     return row.bic - best.bic < CLEAR or row.behind <= 0
 
 
@@ -144,8 +152,8 @@ def _held_out(rung: Rung, ladder: Ladder) -> tuple[np.ndarray, np.ndarray]:
     picture, observation, seed = ladder.picture, ladder.observation, ladder.seed
     w = observation.size[1]
     pixels, channels = np.asarray(observation.pixels), observation.channels
-    across = -(-w // BLOCK)
-    block = pixels // w // BLOCK * across + pixels % w // BLOCK
+    across = -(-w // HELD_OUT_BLOCK)
+    block = pixels // w // HELD_OUT_BLOCK * across + pixels % w // HELD_OUT_BLOCK
     rng = np.random.default_rng(seed)
     half = rng.permutation(int(block.max()) + 1) % 2
     block = np.repeat(block, channels)
@@ -172,11 +180,11 @@ def _held_out(rung: Rung, ladder: Ladder) -> tuple[np.ndarray, np.ndarray]:
             if np.isfinite(moved.coordinates).all():
                 by = moved.coordinates - at.coordinates
         levels = tangent.only(others).moved(by)
-        each = log_likelihood(
+        log_likelihoods = log_likelihood(
             jnp.asarray(levels), jnp.asarray(lo[others]), jnp.asarray(hi[others]),
             jnp.asarray(at.sigma, jnp.float32),
         )  # fmt: skip
-        score += np.bincount(block[others], np.asarray(each, np.float64), count)
+        score += np.bincount(block[others], np.asarray(log_likelihoods, np.float64), count)
         size += np.bincount(block[others], minlength=count)
     return score, size
 
@@ -188,8 +196,9 @@ def _mean(lo: np.ndarray, hi: np.ndarray) -> float:
 
 def _equivalent(rung: Rung, base: FitResult) -> dict[str, dict[str, float]]:
     """Shaders, with their parameters, whose taps are those of the rung: they draw the same picture,
-    and no picture tells them apart. Only where decay and weight are fitted: shaders differ in what
-    they hold them at. The order of decay and weight cannot be seen; a background can."""
+    and no picture distinguishes them. Only where decay and weight are fitted: shaders differ in the
+    values they hold them at. Pictures do not depend on the order of decay and weight; they do
+    depend on how a background is blended."""
     model = rung.model
     if not isinstance(model, Mitchell) or model.convention.box:
         return {}
@@ -200,17 +209,20 @@ def _equivalent(rung: Rung, base: FitResult) -> dict[str, dict[str, float]]:
     own, first, decay, step = (float(z) for z in (taps.own, taps.first, taps.ratio, taps.step))
     found = {model.shader: rung.values | {"samples": float(model.samples)}}
     for other in CONVENTIONS.values():
-        mine = model.convention
-        if other.box or other.name == model.shader or other.own_pixel != mine.own_pixel:
+        convention = model.convention
+        if other.box or other.name == model.shader or other.own_pixel != convention.own_pixel:
             continue
-        how = (other.blend, other.background_gain)
-        if base.picture.background is not None and how != (mine.blend, mine.background_gain):
+        blending = (other.blend, other.background_gain)
+        if base.picture.background is not None and blending != (
+            convention.blend,
+            convention.background_gain,
+        ):
             continue
         samples = taps.count + other.drop
         exposure = own / (other.gain * other.own) if other.own_pixel else float(model.exposure)
         weight = first / max(other.gain * exposure * decay ** (1 - other.order), 1e-30)
         density = step * samples
-        if density > 1 + 1e-6:
+        if density > 1 + OVERSHOT_DENSITY:
             continue
         lights = {k: v for k, v in rung.values.items() if k.startswith("light")}
         found[other.name] = {

@@ -34,7 +34,7 @@ from godfit.models.disc_light import (
     DiscLight,
 )
 from godfit.models.mitchell import Mitchell
-from godfit.report.verdict import _from_anywhere
+from godfit.report.verdict import _undetermined_place
 from tests.support.synthetic import screens
 
 made = screens.made
@@ -425,7 +425,7 @@ def test_without_rays_a_fit_does_not_converge(screen, looks, dark, monkeypatch):
 def test_light_from_anywhere_is_no_rays(agreed, off, said):
     """Unless other starts found the same, or none was tried."""
     params = {"light_x": Estimate(0.4, None), "light_y": Estimate(0.6, off)}
-    words = _from_anywhere(agreed, params)
+    words = _undetermined_place(agreed, params)
     assert ("no rays were found" in words and f"0.60 +- {off:.2f}" in words) == said
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from godfit.inference.likelihood import log_likelihood
 from godfit.inference.observation import Picture
-from godfit.inference.repeated_values import MANY, relieved
+from godfit.inference.repeated_values import REPEATED_VALUES, relieved
 from tests.support import random_targets
 from tests.support import stability_judges as stability
 
@@ -23,7 +23,7 @@ def observed(values):
     return picture.observe(np.arange(len(values)))
 
 
-@pytest.mark.parametrize("count", [MANY, 100, 5000])
+@pytest.mark.parametrize("count", [REPEATED_VALUES, 100, 5000])
 @pytest.mark.parametrize("end", [-0.5, 0.5])
 def test_many_alike_say_at_an_interval_s_end_what_one_says(count, end):
     values = np.full(count, 7 + 0.999 * end)

@@ -7,7 +7,7 @@ import pytest
 from godfit import Mitchell, fit
 from godfit.inference.observation import Picture
 from godfit.inference.problem import Problem
-from godfit.inference.settle import Settled, _exact, _least, settle
+from godfit.inference.settle import Settled, _corrected_on_spots, _tightest, settle
 from godfit.inference.solver import tangent_at
 from tests.support import random_targets
 
@@ -50,15 +50,15 @@ def test_a_tangent_that_is_known_is_taken():
 
 def test_the_nearest_to_the_walls_are_found():
     slack = np.random.default_rng(1).permutation(1 << 19).astype(np.float32)
-    rows = _least(slack)
+    rows = _tightest(slack)
     assert isinstance(rows, np.ndarray)
     assert np.array_equal(np.sort(slack[rows]), np.arange(len(rows)))
-    assert _least(slack[:1000]) is None
+    assert _tightest(slack[:1000]) is None
     # However they lie among the others.
     slack = np.sort(slack)
-    assert np.array_equal(_least(slack), np.arange(len(rows)))
+    assert np.array_equal(_tightest(slack), np.arange(len(rows)))
     flat = np.zeros(1 << 19, np.float32)
-    assert len(np.unique(_least(flat))) == len(rows)
+    assert len(np.unique(_tightest(flat))) == len(rows)
 
 
 @pytest.mark.usefixtures("single_precision")
@@ -88,7 +88,7 @@ def test_a_few_pixels_say_where_a_tangent_leads():
         goal[1] *= 1 + 2 * share
         there = tangent._replace(prediction=tangent.moved(goal - z))
         at = Settled(goal, 0.005, 0.0, False)
-        exact = _exact(at, there, few, render, problem)
+        exact = _corrected_on_spots(at, there, few, render, problem)
         assert (exact is not None) == found
         if exact is not None:
             # What is left is what float32 leaves; the tangent itself was off by several times that.

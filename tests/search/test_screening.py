@@ -8,7 +8,7 @@ import pytest
 from godfit.inference.observation import Picture
 from godfit.io.filters import blurred, blurred_at
 from godfit.runtime.parallel import map_halves
-from godfit.search.screening import _solve, apart, light_grid
+from godfit.search.screening import _solve, distinct_starts, light_grid
 
 
 @pytest.mark.parametrize("sigma", [0.3, 1.0, 3.0, 40.0])
@@ -64,8 +64,8 @@ def test_starts_are_the_cheapest_that_are_apart():
         )
         if np.isfinite(cost[i, j]) and not near:
             expected.append((i, j))
-    assert apart(cost, places, shapes, 6) == expected[:6]
-    assert apart(cost, places, shapes, 999) == expected
+    assert distinct_starts(cost, places, shapes, 6) == expected[:6]
+    assert distinct_starts(cost, places, shapes, 999) == expected
     assert len(light_grid(rng.random((64, 64)), 0)) % 2 == 0
 
 

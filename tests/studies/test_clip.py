@@ -9,7 +9,6 @@ import pytest
 from godfit.io.image import read_image
 from godfit.models.disc_light import GAIN, VEIL, DiscLight
 from godfit.models.mitchell import Mitchell
-from godfit.report import clip as clip_report
 from godfit.studies import clip
 
 
@@ -89,7 +88,7 @@ def test_the_gain_is_the_shaders_and_not_what_its_disc_adds(held):
         still = np.full(len(z), np.nan, np.float32)
         if held is not None:
             still[VEIL] = held
-        at, slopes = clip._of_the_shader(model, z, still)
+        at, slopes = clip._shader_coordinates(model, z, still)
     np.testing.assert_allclose(at, truly().coordinates(), rtol=1e-5)
     expected = np.eye(6, len(z))
     expected[GAIN, GAIN] = 1.0 if held is None else 1 / (1 - held)
@@ -139,7 +138,7 @@ def test_too_few_that_agree_are_no_answer():
 
 def test_the_record_and_the_figure(tmp_path):
     result = concluded(answers(3, 3)[0])
-    clip_report.save(result, tmp_path, "godfit fit")
+    result.save(tmp_path, "godfit fit")
     record = json.loads((tmp_path / "fit.json").read_text())
     assert [f["path"] for f in record["frames"]] == ["shot_0.png", "shot_1.png", "shot_2.png"]
     assert record["params"]["density"]["stderr"] == result.params["density"].stderr

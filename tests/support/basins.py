@@ -11,7 +11,7 @@ import numpy as np
 
 from godfit import FitResult
 from godfit import fit as whole_fit
-from godfit.inference.problem import PIXELS
+from godfit.inference.problem import SEARCH_PIXELS
 from godfit.inference.settle import settle
 from godfit.search import multigrid
 from tests.support import random_targets
@@ -29,7 +29,7 @@ def arrives(result: FitResult, start: np.ndarray) -> bool:
     problem = result.problem
     with jax.enable_x64(False):
         point = multigrid.climb(problem.small, [start.astype(np.float32)], lambda _: None)
-        settled, _ = settle(point.coordinates, problem, problem.observe(PIXELS))
+        settled, _ = settle(point.coordinates, problem, problem.observe(SEARCH_PIXELS))
         values = {k: float(v) for k, v in problem.at(settled.coordinates).values().items()}
     light = np.hypot(values["light_x"] - TRUTH["light_x"], values["light_y"] - TRUTH["light_y"])
     return bool(
