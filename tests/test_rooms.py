@@ -168,7 +168,8 @@ def test_coordinates_are_found_by_name():
             ends = [node.slice]
             if isinstance(node.slice, ast.Slice):
                 ends = [node.slice.lower, node.slice.upper]
-            numbers = [e for e in ends if isinstance(e, ast.Constant | ast.UnaryOp)]
+            ends = [e.operand if isinstance(e, ast.UnaryOp) else e for e in ends]
+            numbers = [e for e in ends if isinstance(getattr(e, "value", None), int)]
             if name in COORDINATES and numbers:
                 found.append(f"{path.relative_to(PACKAGE)}:{node.lineno}")
     assert found == []
@@ -179,6 +180,7 @@ def test_what_is_shared_lies_in_support(folder):
     """No test imports a script or another test, and no script a test."""
     root = PACKAGE.parent
     scripts = {path.stem for path in (root / "experiments").rglob("*.py")}
+    tests = {path.stem for path in (root / "tests").rglob("test_*.py")}
     found = []
     for path in (root / folder).rglob("*.py"):
         beside = {other.stem for other in path.parent.glob("*.py")}
@@ -191,7 +193,7 @@ def test_what_is_shared_lies_in_support(folder):
             for name in names:
                 first, last = name.split(".")[0], name.split(".")[-1]
                 script = folder == "tests" and (first == "experiments" or name in scripts)
-                test = last.startswith("test_") or (first == "tests" and "support" not in name)
+                test = last in tests or (first == "tests" and "support" not in name)
                 if (script and name not in beside) or test:
                     found.append(f"{path.relative_to(root)}: {name}")
     assert found == []

@@ -40,7 +40,8 @@ class Rung:
     @property
     def values(self) -> dict[str, float]:
         if self.model is None:
-            return {"veil": float(self.settled.coordinates[0])}
+            (level,) = self.settled.coordinates
+            return {"veil": float(level)}
         return {name: float(v) for name, v in self.model.values().items()}
 
 

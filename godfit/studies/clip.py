@@ -9,6 +9,7 @@ that memory does not grow with their number. The shader's parameters are pooled 
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, NamedTuple
@@ -254,7 +255,7 @@ def _pooled_result(
     converged = count >= max(2, whole / 2)
     if count < whole:
         warnings += (LEFT_OUT.format(whole - count, whole),)
-    if pool.growth > 2:
+    if pool.growth > REPORTED_GROWTH:
         warnings += (SCATTERED.format(np.sqrt(pool.growth)),)
     return ClipResult(
         converged=converged,

@@ -64,46 +64,32 @@ def compare(
         (Mitchell.name, {"shader": shader, "lights": lights}),
         (HoffmanPreetham.name, {"fov": fov, "distance": distance}),
     ]
+    shared = {"mask": mask, "scene": scene, "progress": say}
     rows = []
     for name, extra in kinds:
         for fix in [place, {}] if place else [{}]:
             title = name + ("" if fix else ", light free")
             say(title)
-            rows.append(_row(title, picture, mask, scene, name, fix, extra | options, say))
+            rows.append(
+                _row(title, picture, shared | {"model": name, "fix": fix} | extra | options)
+            )
     if canvas is not None:
         # A shader's samples, its pass scale and its background do not apply to the plane.
 
         away = ("samples", "pass_scale", "background")
-        extra = {"canvas": canvas, "rays": rays}
+        extra = {"model": Flatland.name, "canvas": canvas, "rays": rays, "progress": say}
         extra |= {k: v for k, v in options.items() if k not in away}
         say(Flatland.name)
-        rows.append(_row(Flatland.name, picture, None, None, Flatland.name, {}, extra, say))
+        rows.append(_row(Flatland.name, picture, extra))
     rows.sort(key=lambda row: row.bic)
     return Comparison(tuple(rows), picture.values)
 
 
-def _row(
-    title: str,
-    target: Source,
-    mask: Source | None,
-    scene: Scene | None,
-    model: str,
-    fix: Mapping[str, float],
-    options: Mapping[str, Any],
-    say: Callable[[str], None],
-) -> Row:
+def _row(title: str, target: Source, options: Mapping[str, Any]) -> Row:
+    """One fit judged; ``options`` are those of ``fit``."""
     began = time.perf_counter()
-    result = fit(
-        target,
-        mask=mask,
-        scene=scene,
-        model=model,
-        fix=fix,
-        channels=3,
-        inquire=False,
-        progress=say,
-        **options,
-    )
+    # Three channels for all, so that likelihoods can be compared.
+    result = fit(target, channels=3, inquire=False, **options)
     known = [e for e in result.params.values() if not e.fixed and e.stderr is not None]
     parameters = len(known) + 1
     values = result.pixels * result.picture.channels

@@ -19,7 +19,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from godfit.io import image
 from godfit.io.image import MAX_PIXELS, Image, InputError, decode, encode, read_image, write_image
 from godfit.runtime.files import atomic_write
 from tests.support.paths import ROOT
@@ -479,7 +478,6 @@ def test_heavy_readers_are_imported_only_when_needed():
         "import sys, godfit.io.image; "
         "print(*{'tifffile', 'OpenEXR', 'imagecodecs', 'PIL', 'jax'} & {*sys.modules})"
     )
-    root = Path(image.__file__).parents[2]
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "\n", "")

@@ -12,7 +12,7 @@ from scipy import ndimage
 from godfit import Mitchell
 from godfit.io.filters import shrink
 from godfit.report.simplify import Simpler
-from godfit.studies.simplify import Simpler, simplify
+from godfit.studies.simplify import simplify
 from tests.support import random_targets
 
 
