@@ -19,7 +19,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
 
-from screens import BACKGROUNDS, SHADER, made  # pyright: ignore[reportMissingImports]
+from screens import (  # pyright: ignore[reportMissingImports]
+    BACKGROUNDS,
+    SHADER,
+    ClipFrame,
+    make_screenshot,
+)
 
 import godfit
 from godfit.report.clip import ClipResult, Frame
@@ -52,11 +57,11 @@ def clip(seed: int, count: int, kind: str, size: tuple[int, int] = (270, 480)):
     """The truth and the frames (bytes) of a seed."""
     rng = np.random.default_rng(seed)
     ends = rng.uniform(0.2, 0.8, (2, 2))
-    truth = made(seed, kind, size, at=ends[0], panel=False).truth
+    truth = make_screenshot(seed, kind, size, frame=ClipFrame(ends[0])).truth
     shared = {name: truth[name] for name in SHARED}
     path = ends[0] + (ends[1] - ends[0]) * np.linspace(0, 1, count)[:, None]
     frames = (
-        made(100 * seed + i, kind, size, at=at, shared=shared, panel=False).image
+        make_screenshot(100 * seed + i, kind, size, frame=ClipFrame(at, shared)).image
         for i, at in enumerate(path)
     )
     return shared, path, frames

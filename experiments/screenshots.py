@@ -25,8 +25,8 @@ from screens import (  # pyright: ignore[reportMissingImports]
     BACKGROUNDS,
     RAYLESS,
     SHADER,
-    Screen,
-    made,
+    Screenshot,
+    make_screenshot,
     without_rays,
 )
 
@@ -55,7 +55,9 @@ def main() -> int:
 
 def judged(kind: str, seed: int) -> dict[str, float]:
     """A screenshot read: errors, errors over what is quoted, converged, warned."""
-    screen = photographs.taken(seed) if kind == PHOTOGRAPH else made(seed, kind)
+    screen = (
+        photographs.make_photograph(seed) if kind == PHOTOGRAPH else make_screenshot(seed, kind)
+    )
     began = time.perf_counter()
     result = fitted(screen)
     row = errors(screen, result) | {"seconds": time.perf_counter() - began}
@@ -80,7 +82,7 @@ def says_so(seed: int) -> bool:
     return told
 
 
-def fitted(screen: Screen | photographs.Photograph) -> godfit.FitResult:
+def fitted(screen: Screenshot | photographs.Photograph) -> godfit.FitResult:
     samples = int(screen.truth["samples"])
     if isinstance(screen, photographs.Photograph):
         return godfit.fit(screen.image, bright_pass=True, shader=SHADER, samples=samples)
@@ -93,7 +95,9 @@ def fitted(screen: Screen | photographs.Photograph) -> godfit.FitResult:
 JUDGED = ("light_x", "light_y", "decay", "density", "gain")
 
 
-def errors(screen: Screen | photographs.Photograph, result: godfit.FitResult) -> dict[str, float]:
+def errors(
+    screen: Screenshot | photographs.Photograph, result: godfit.FitResult
+) -> dict[str, float]:
     """Errors by name (decay and gain as shares), and name/ over what is quoted."""
     truth, params = screen.truth, result.params
     n = truth["samples"]

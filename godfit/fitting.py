@@ -15,9 +15,9 @@ import numpy as np
 from godfit import request
 from godfit.blind import photograph, unaided
 from godfit.errors import InputError
-from godfit.flatland import inputs as plane
+from godfit.flatland import fit_setup as plane
 from godfit.flatland.model import Flatland
-from godfit.flatland.starts import starts as starts_in_plane
+from godfit.flatland.starts import sky_starts
 from godfit.inference import indirect_inference
 from godfit.inference.fitted import Found
 from godfit.inference.information import evidence, undetermined
@@ -60,7 +60,7 @@ def fit(
     *,
     mask: Source | None = None,
     scene: Scene | str | os.PathLike[str] | None = None,
-    canvas: plane.Source | None = None,
+    canvas: plane.CanvasSource | None = None,
     model: str | None = None,
     free: Sequence[str] = (),
     background: Source | None = None,
@@ -135,7 +135,7 @@ def fit(
     model = model or (Mitchell.name if canvas is None else Flatland.name)
     request.check_model(model, free, shader, lights, fov, distance)
     if model == Flatland.name:
-        plane.check(canvas, mask, scene, background, samples, pass_scale)
+        plane.check_fit_arguments(canvas, mask, scene, background, samples, pass_scale)
     elif mask is not None and scene is not None:
         raise InputError("fit: expected a mask or a scene, got both")
     elif mask is None and scene is None:
@@ -168,7 +168,7 @@ def _fit(
     background: Source | None,
     occluder: Source | None,
     scene: Scene | None,
-    drawn: tuple[plane.Source | None, int | None],
+    drawn: tuple[plane.CanvasSource | None, int | None],
     kind: str,
     staged: tuple[str, ...],
     settings: Mapping[str, Any],
@@ -210,7 +210,7 @@ def _fit(
         canvas, rays = drawn
         assert canvas is not None
         say("rays")
-        model, picture, images["canvas"] = plane.prepared(images["target"], canvas, rays, valid)
+        model, picture, images["canvas"] = plane.prepare_fit(images["target"], canvas, rays, valid)
     elif daylight:
         model, assumed = daylight_template(scene, *geometry, settings.get("samples"))
         notes += assumed
@@ -249,7 +249,7 @@ def _fit(
         held[0] = given.get("exposure", model.defaults["exposure"])
         free[0] = False
         opened.append((0, [3]))
-    if kind == Flatland.name and free[0] and not plane.emits(picture):
+    if kind == Flatland.name and free[0] and not plane.emits_light(picture):
         held[0], free[0] = given.get("exposure", model.defaults["exposure"]), False
         notes += (f"the canvas sends out no light: exposure held at {held[0]:g}",)
     if scene is not None and isinstance(model, Mitchell) and not scene.antialias:
@@ -323,7 +323,7 @@ def _starts(
     if isinstance(model, HoffmanPreetham):
         return screening_daylight.starts(picture.small, model, given, keep=STARTS, seed=seed)
     if isinstance(model, Flatland):
-        return starts_in_plane(picture.small, model, given, keep=STARTS, seed=seed)
+        return sky_starts(picture.small, model, given, count=STARTS, seed=seed)
     assert isinstance(model, Mitchell)
     return screening.starts(picture.small, model, given, keep=STARTS, seed=seed)
 

@@ -15,7 +15,7 @@ from godfit.models.disc_light import VEIL, DiscLight
 from godfit.models.mitchell import Mitchell
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
-from screens import made
+from screens import make_screenshot as made
 
 SIZE = (120, 200)
 

@@ -14,7 +14,7 @@ from godfit.inference.observation import Picture
 from godfit.io.sources import read_source
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
-from screens import made
+from screens import make_screenshot as made
 
 
 def picture_of(levels):

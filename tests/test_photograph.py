@@ -14,7 +14,8 @@ from godfit.models.bright_pass import LUMA, BrightPass, brightness
 from godfit.models.mitchell import Mitchell
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
-from photographs import SHADER, taken
+from photographs import SHADER
+from photographs import make_photograph as taken
 
 SIZE = (135, 240)
 

@@ -38,7 +38,7 @@ from godfit.models.mitchell import Mitchell
 from godfit.report.verdict import _from_anywhere
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "data_synthetic"))
-from screens import made
+from screens import make_screenshot as made
 
 SIZE = (90, 160)
 

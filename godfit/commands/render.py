@@ -89,10 +89,10 @@ def render(mask: str, output: str, transfer: str, bits: str, **options: Any) -> 
     options |= {name: options[name] or None for name in ("jitter", "published")}
     recorded = read_params(options["params"]) if options["params"] else {}
     if (options["model"] or recorded.get("model")) == "flatland":
-        from godfit.flatland.inputs import rendered
+        from godfit.flatland.file_rendering import render_file
 
         names = (*PLANE, "steps", "exposure")
-        image = rendered(mask, recorded | given(options, names))
+        image = render_file(mask, recorded | given(options, names))
     else:
         for name in given(options, PLANE):
             raise click.UsageError(f"--{name.replace('_', '-')}: expected --model flatland with it")
