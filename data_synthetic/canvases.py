@@ -1,8 +1,8 @@
-"""What is drawn for the light in the plane, and the sky that it stands in.
+"""The canvases of the light in the plane, and the skies that they are rendered under.
 
-A canvas is an RGBA picture: colour is emission, alpha opacity, black and opaque hides. Every one
-but the sand's is drawn larger by formula and averaged; all are rounded to bytes before anything is
-rendered from them.
+A canvas is an RGBA picture: colour is emission and alpha opacity; a black and opaque pixel hides
+light. All but the sand's and the maze are drawn larger by formula and averaged. All are rounded to
+bytes before anything is rendered from them.
 """
 
 from __future__ import annotations
@@ -13,13 +13,30 @@ from typing import NamedTuple
 import numpy as np
 import sand
 
-SKY, SUN = (0.02, 0.08, 0.2), (0.95, 0.95, 0.9)
-FRAMES, EVERY, SEED = 6, 60, 11
-COLOURS = ((1.0, 0.55, 0.15), (0.2, 0.75, 1.0), (0.75, 0.25, 0.9))
+ARTICLE_SKY = (0.02, 0.08, 0.2)
+"""Radiance of the sky, red, green, blue, as in the article (jason.today/gi)."""
+
+ARTICLE_SUN = (0.95, 0.95, 0.9)
+"""Radiance of the sun, red, green, blue, as in the article."""
+
+SAND_FRAMES = 6
+"""Canvases of the falling sand: from the full funnel to nearly all of it fallen."""
+
+SAND_FRAME_STEPS = 60
+"""Steps of the sand between two of its canvases."""
+
+SAND_SEED = 11
+"""Seed of the grains and of their slides; any would do."""
+
+GRAIN_COLOURS = ((1.0, 0.55, 0.15), (0.2, 0.75, 1.0), (0.75, 0.25, 0.9))
+"""Red, green, blue of the three kinds of grains: far apart, so that their light can be traced."""
+
+GRAIN_BRIGHTNESS = 0.6
+"""A grain's emission as a share of its colour: fainter than a lamp."""
 
 
-class Truth(NamedTuple):
-    """A sky: angle and width of the sun in degrees, radiances, exposure."""
+class PlaneTruth(NamedTuple):
+    """A sky, angle and width of the sun in degrees and radiances, and the exposure."""
 
     sun_angle: float
     sun_width: float
@@ -31,51 +48,52 @@ class Truth(NamedTuple):
 class Sheet:
     """RGBA to draw on, four by four samples a pixel; x and y in picture heights, y up."""
 
-    FINE = 4
+    SAMPLES_PER_SIDE = 4
 
     def __init__(self, height: int, width: int):
-        v = 1 - (np.arange(height * self.FINE) + 0.5) / (height * self.FINE)
-        u = (np.arange(width * self.FINE) + 0.5) / (height * self.FINE)
+        v = 1 - (np.arange(height * self.SAMPLES_PER_SIDE) + 0.5) / (height * self.SAMPLES_PER_SIDE)
+        u = (np.arange(width * self.SAMPLES_PER_SIDE) + 0.5) / (height * self.SAMPLES_PER_SIDE)
         self.x, self.y = np.meshgrid(u, v)
         self.colour = np.zeros((*self.x.shape, 3))
         self.alpha = np.zeros(self.x.shape)
 
     def draw(self, inside: np.ndarray, colour=(0.0, 0.0, 0.0)) -> None:
+        """Make the samples ``inside`` opaque, of this colour."""
         self.colour[inside], self.alpha[inside] = colour, 1.0
 
-    def near(self, points: np.ndarray, thickness: float) -> np.ndarray:
-        """Within half a thickness of the line through ``points``."""
-        found = np.zeros(self.x.shape, bool)
+    def on_line(self, points: np.ndarray, thickness: float) -> np.ndarray:
+        """True within half a thickness of the line through ``points`` (n, 2)."""
+        inside = np.zeros(self.x.shape, bool)
         for (ax, ay), (bx, by) in itertools.pairwise(points):
             dx, dy = bx - ax, by - ay
             along = ((self.x - ax) * dx + (self.y - ay) * dy) / (dx * dx + dy * dy)
             along = along.clip(0, 1)
-            found |= np.hypot(self.x - ax - along * dx, self.y - ay - along * dy) < thickness / 2
-        return found
+            inside |= np.hypot(self.x - ax - along * dx, self.y - ay - along * dy) < thickness / 2
+        return inside
 
-    def done(self) -> np.ndarray:
+    def to_bytes(self) -> np.ndarray:
         """(h, w, 4) bytes, colour not multiplied by alpha."""
         both = np.concatenate([self.colour * self.alpha[..., None], self.alpha[..., None]], -1)
-        h, w = (n // self.FINE for n in self.alpha.shape)
-        mean = both.reshape(h, self.FINE, w, self.FINE, 4).mean((1, 3))
+        h, w = (n // self.SAMPLES_PER_SIDE for n in self.alpha.shape)
+        mean = both.reshape(h, self.SAMPLES_PER_SIDE, w, self.SAMPLES_PER_SIDE, 4).mean((1, 3))
         mean[..., :3] /= np.maximum(mean[..., 3:], 1e-9)
         return np.floor(mean * 255 + 0.5).astype(np.uint8)
 
 
 def stroke(height: int = 256, width: int = 256) -> np.ndarray:
-    """A glowing stroke beside a black one that throws its shadow, and a lamp at its end."""
+    """A glowing stroke beside a black one that casts its shadow, and a lamp at its end."""
     s = Sheet(height, width)
     t = np.linspace(0, 1, 60)
     wave = np.stack([0.18 + 0.5 * t, 0.62 + 0.13 * np.sin(2 * np.pi * t)], -1)
-    s.draw(s.near(wave, 0.035), (1.0, 0.45, 0.1))
+    s.draw(s.on_line(wave, 0.035), (1.0, 0.45, 0.1))
     shadow = np.stack([0.3 + 0.45 * t, 0.33 + 0.06 * np.cos(3 * t)], -1)
-    s.draw(s.near(shadow, 0.04))
+    s.draw(s.on_line(shadow, 0.04))
     s.draw(np.hypot(s.x - 0.8, s.y - 0.72) < 0.05, (0.3, 0.6, 1.0))
-    return s.done()
+    return s.to_bytes()
 
 
 def window(height: int = 160, width: int = 288) -> np.ndarray:
-    """A room seen from the side: walls, a floor, a window with a bar, a table and a red lamp."""
+    """A section of a room: walls, a floor, a window with a bar, a table and a red lamp."""
     s = Sheet(height, width)
     aspect = width / height
     s.draw(s.y < 0.06)
@@ -87,11 +105,11 @@ def window(height: int = 160, width: int = 288) -> np.ndarray:
     for leg in (0.97, 1.23):
         s.draw((np.abs(s.x - leg) < 0.012) & (s.y < 0.32))
     s.draw(np.hypot(s.x - 1.55, s.y - 0.8) < 0.03, (0.9, 0.15, 0.1))
-    return s.done()
+    return s.to_bytes()
 
 
 def maze(size: int = 192, cells: int = 12, seed: int = 3) -> np.ndarray:
-    """Walls between cells, a way open to every cell, with lamps in some and gaps to the sky."""
+    """Walls between cells, a way to every cell, with lamps in some and gaps to the sky."""
     rng = np.random.default_rng(seed)
     # Every cell opens upwards or to the right: a binary tree, so that there is a way out.
     up = rng.random((cells, cells)) < 0.5
@@ -115,36 +133,41 @@ def maze(size: int = 192, cells: int = 12, seed: int = 3) -> np.ndarray:
     return canvas
 
 
-def of_sand(cells: np.ndarray, scale: int) -> np.ndarray:
-    """(scale h, scale w, 4): what is solid hides, a grain glows in its colour, fainter than a
-    lamp."""
-    colours = np.zeros((sand.GRAIN + len(COLOURS), 4))
-    colours[sand.SOLID] = (0, 0, 0, 1)
-    for i, colour in enumerate(COLOURS):
-        colours[sand.GRAIN + i] = (*(0.6 * np.array(colour)), 1)
+def sand_canvas(cells: np.ndarray, scale: int) -> np.ndarray:
+    """(scale h, scale w, 4) bytes: a solid cell hides light, a grain glows in its colour."""
+    colours = np.zeros((sand.FIRST_GRAIN + len(GRAIN_COLOURS), 4))
+    colours[sand.SOLID_CELL] = (0, 0, 0, 1)
+    for i, colour in enumerate(GRAIN_COLOURS):
+        colours[sand.FIRST_GRAIN + i] = (*(GRAIN_BRIGHTNESS * np.array(colour)), 1)
     table = np.floor(colours * 255 + 0.5).astype(np.uint8)
     return table[cells].repeat(scale, 0).repeat(scale, 1)
 
 
-def sand_frames(count: int = FRAMES, every: int = EVERY, size: int = 96) -> list[np.ndarray]:
-    """States of the falling sand."""
-    return list(sand.frames(sand.hourglass(size, SEED), count, every, SEED))
+def sand_frames(
+    count: int = SAND_FRAMES, every: int = SAND_FRAME_STEPS, size: int = 96
+) -> list[np.ndarray]:
+    """``count`` states (size, size) of the falling sand, ``every`` steps apart."""
+    return list(sand.frames(sand.hourglass(size, SAND_SEED), count, every, SAND_SEED))
 
 
-# The canvas, its sky and what it is for.
 CANVASES = {
-    "plane_stroke": (stroke, Truth(140.0, 40.0, SUN, SKY, 0.87), "the source's demonstration"),
+    "plane_stroke": (
+        stroke, PlaneTruth(140.0, 40.0, ARTICLE_SUN, ARTICLE_SKY, 0.87),
+        "the source's demonstration",
+    ),
     "plane_window": (
-        window, Truth(155.0, 25.0, (9.0, 8.4, 7.2), (0.25, 0.4, 0.62), 0.8),
+        window, PlaneTruth(155.0, 25.0, (9.0, 8.4, 7.2), (0.25, 0.4, 0.62), 0.8),
         "a shaft of light through a window, wider than high",
     ),
     "plane_maze": (
-        maze, Truth(60.0, 70.0, (4.0, 3.7, 3.2), (0.35, 0.42, 0.7), 0.87),
+        maze, PlaneTruth(60.0, 70.0, (4.0, 3.7, 3.2), (0.35, 0.42, 0.7), 0.87),
         "far from the sky; most rays are short",
     ),
 }  # fmt: skip
+"""By name: the function that draws the canvas, its sky, and its purpose."""
 
 
-def sand_truth(frame: int, frames: int) -> Truth:
-    """The sun passes overhead while the sand falls."""
-    return Truth(150.0 - 120.0 * frame / (frames - 1), 45.0, (0.7, 0.65, 0.55), SKY, 1.0)
+def sand_truth(frame: int, frames: int) -> PlaneTruth:
+    """The sky at one of ``frames`` frames: the sun passes overhead while the sand falls."""
+    sun_angle = 150.0 - 120.0 * frame / (frames - 1)
+    return PlaneTruth(sun_angle, 45.0, (0.7, 0.65, 0.55), ARTICLE_SKY, 1.0)

@@ -1,8 +1,8 @@
-"""Photographs, of a kind: a bright sky behind dark trees, and rays of all that is bright in it.
+"""Imitations of photographs: a bright sky behind dark trees, and rays of all that is bright in it.
 
 The occlusion mask is a soft bright-pass of the ordinary pass (Mitchell, GPU Gems 3, section 13.4,
-draws it; post effects that have no scene take it from the picture), and nobody has it. The light
-pass is the project's own.
+draws it; post effects that have no scene take it from the picture). A user does not have it. The
+light pass is the project's own.
 """
 
 from __future__ import annotations
@@ -17,27 +17,35 @@ from godfit.models.bright_pass import brightness
 from godfit.models.mitchell import Mitchell
 
 SHADER = "dawntime"
+"""The convention of the light pass."""
+
+STREAM = 7
+"""Makes the random numbers differ from those of other pictures of the same seed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Photograph:
-    """``image`` (h, w, 3) bytes; ``truth`` by parameter; ``mask`` (h, w), the occlusion mask."""
+    """``image`` (h, w, 3) bytes; ``truth``, the parameters by name; ``mask`` (h, w), the occlusion
+    mask."""
 
     image: np.ndarray
     truth: dict[str, float]
     mask: np.ndarray
 
 
-def taken(seed: int, size: tuple[int, int] = (270, 480), texture: float = 1.0) -> Photograph:
-    """The photograph of a seed; ``texture`` is that of what is dark, in levels."""
-    rng = np.random.default_rng([seed, 7])
+def make_photograph(
+    seed: int, size: tuple[int, int] = (270, 480), texture: float = 1.0
+) -> Photograph:
+    """The photograph of a seed, of ``size`` (h, w) pixels; ``texture`` is the standard deviation of
+    dark surfaces in levels."""
+    rng = np.random.default_rng([seed, STREAM])
     h, w = size
     x, y = np.meshgrid((np.arange(w) + 0.5) / h, 1 - (np.arange(h) + 0.5) / h)
     light = rng.uniform((0.2, 0.55), (0.8, 0.95))
-    away = np.hypot(x - light[0] * w / h, y - light[1])
-    glow = np.exp(-((away / rng.uniform(0.1, 0.3)) ** 2))[..., None]
-    top = rng.uniform(0.45, 0.75, 3)
-    sky = top + (0.98 - top) * (0.9 * glow + 0.1 * (1 - y[..., None]))
+    distance = np.hypot(x - light[0] * w / h, y - light[1])
+    glow = np.exp(-((distance / rng.uniform(0.1, 0.3)) ** 2))[..., None]
+    sky = rng.uniform(0.45, 0.75, 3)
+    sky = sky + (0.98 - sky) * (0.9 * glow + 0.1 * (1 - y[..., None]))
     dark = _ground(rng, x, y) | _trees(rng, x, y, w / h)
     grain = ndimage.gaussian_filter(rng.standard_normal(size), 1)
     shade = rng.uniform(0.02, 0.15, 3) * (1 + 0.3 * (y[..., None] - 0.5))
@@ -56,7 +64,7 @@ def taken(seed: int, size: tuple[int, int] = (270, 480), texture: float = 1.0) -
     soft = (brightness(scene) - truth["threshold"]) / truth["softness"]
     mask = (1 / (1 + np.exp(-soft))).astype(np.float32)
     unit = _light_pass(mask, truth | {"exposure": 1.0})
-    # As bright as a haze that leaves what is dark dark.
+    # The rays are as bright as haze, so that dark surfaces stay dark.
     truth["exposure"] = float(rng.uniform(0.15, 0.4) / np.quantile(unit[dark], 0.95))
     lit = scene + np.clip(_light_pass(mask, truth), 0, 1)[..., None]
     return Photograph(np.floor(255 * np.clip(lit, 0, 1) + 0.5).astype(np.uint8), truth, mask)
@@ -70,20 +78,21 @@ def _ground(rng: np.random.Generator, x: np.ndarray, y: np.ndarray) -> np.ndarra
     return y < rng.uniform(0.15, 0.4) + waves
 
 
-def _trees(rng: np.random.Generator, x: np.ndarray, y: np.ndarray, wide: float) -> np.ndarray:
+def _trees(rng: np.random.Generator, x: np.ndarray, y: np.ndarray, aspect: float) -> np.ndarray:
     """(h, w) True on trunks and in crowns, in which there are holes."""
     dark = np.zeros(x.shape, bool)
-    for at in rng.uniform(0, wide, rng.integers(4, 9)):
-        height, thick = rng.uniform(0.5, 1.0), rng.uniform(0.008, 0.025)
-        dark |= (np.abs(x - at - 0.05 * np.sin(3 * y + at)) < thick) & (y < height)
+    for trunk in rng.uniform(0, aspect, rng.integers(4, 9)):
+        height, half_width = rng.uniform(0.5, 1.0), rng.uniform(0.008, 0.025)
+        dark |= (np.abs(x - trunk - 0.05 * np.sin(3 * y + trunk)) < half_width) & (y < height)
         crown = rng.uniform(0.08, 0.2)
         leaves = ndimage.gaussian_filter(rng.standard_normal(x.shape), 4)
-        inside = np.hypot(x - at, (y - height) / 0.8) < crown
+        inside = np.hypot(x - trunk, (y - height) / 0.8) < crown
         dark |= inside & (leaves > -0.3 * leaves.std())
     return dark
 
 
 def _light_pass(mask: np.ndarray, truth: dict[str, float]) -> np.ndarray:
+    """(h, w) the light pass of a mask (h, w), linear."""
     model = Mitchell(
         truth["exposure"], truth["decay"], truth["density"], truth["weight"],
         [[truth["light_x"], truth["light_y"]]], SHADER, int(truth["samples"]),

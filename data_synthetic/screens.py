@@ -2,7 +2,7 @@
 
 A disc light behind one or two objects, a veil, a background that is flat, smooth or textured,
 control panels on top, the light pass at full or half resolution, some of it clipped. The light pass
-is the project's own; what lies under and over it is painted by formula.
+is the project's own; the background under it and the panels over it are painted by formula.
 """
 
 from __future__ import annotations
@@ -17,14 +17,26 @@ from godfit.io.filters import shrink
 from godfit.models.mitchell import Mitchell
 
 BACKGROUNDS = ("flat", "smooth", "textured")
+"""Kinds of backgrounds; the place of one is part of its screenshots' seeds."""
+
 SHADER = "dawntime"
+"""The convention of the light pass where none is chosen."""
+
 RAYLESS = "rayless"
+"""The name of pictures without rays, beside those of the backgrounds."""
+
+OBJECT_KINDS = 4
+"""Shapes that ``_object`` can paint."""
+
+OBJECT_KINDS_WITHOUT_GRILLE = 3
+"""The same before the disc, whose glare hides the bars of a grille."""
 
 
 @dataclass(frozen=True, eq=False)
-class Screen:
-    """``image`` (h, w, 3) bytes; ``truth`` by parameter; ``panels`` as (x, y, width, height) in
-    pixels; ``mask`` (h, w), the occlusion mask that nobody has."""
+class Screenshot:
+    """``image`` (h, w, 3) bytes; ``truth``, the parameters by name; ``panels`` as (x, y, width,
+    height) in pixels; ``mask`` (h, w), the occlusion mask, which a user does not have;
+    ``pass_scale``, the size of the light pass as a share of the picture's."""
 
     image: np.ndarray
     truth: dict[str, float]
@@ -33,41 +45,47 @@ class Screen:
     pass_scale: float
 
 
-def made(
+@dataclass(frozen=True, eq=False)
+class ClipFrame:
+    """What the frames of a clip do not draw at random: the ``light`` (u, v) in texture coordinates,
+    and the shader parameters that all frames share, by name. They have no panels."""
+
+    light: np.ndarray
+    shared: dict[str, float] | None = None
+
+
+def make_screenshot(
     seed: int,
     background: str,
     size: tuple[int, int] = (270, 480),
     *,
     shader: str = SHADER,
-    at: np.ndarray | None = None,
-    shared: dict[str, float] | None = None,
-    panel: bool = True,
+    frame: ClipFrame | None = None,
     tint: tuple[float, float, float] = (1.0, 1.0, 1.0),
-) -> Screen:
-    """The screenshot of a seed. ``at`` puts the light (texture coordinates) and ``shared`` shader
-    parameters where they are given, as in the frames of one clip, which have no ``panel``. The
-    light pass of every channel is times its ``tint``."""
+) -> Screenshot:
+    """The screenshot of a seed, of ``size`` (h, w) pixels; ``frame``, if it is one of a clip. The
+    light pass of every channel is multiplied by its ``tint``."""
     rng = np.random.default_rng([seed, BACKGROUNDS.index(background)])
     h, w = size
     light = rng.uniform(-0.1, 1.1, 2)
     if rng.uniform() < 0.6:
         light = rng.uniform(0.15, 0.85, 2)
-    light = light if at is None else np.asarray(at)
-    x, y = _metric(size)
+    light = light if frame is None else np.asarray(frame.light)
+    shared = None if frame is None else frame.shared
+    x, y = _picture_heights(size)
     centre = np.array([light[0] * w / h, light[1]])
     radius = rng.uniform(0.05, 0.16)
     solid = np.zeros(size, bool)
     painted = _background(rng, background, size)
     for i in range(rng.integers(1, 3)):
-        across = rng.uniform(0.08, 0.2)
+        extent = rng.uniform(0.08, 0.2)
         # The first stands before a part of the disc, the second farther off.
-        away = across + radius * rng.uniform(-0.5, 0.5) if i == 0 else rng.uniform(0.25, 0.6)
+        away = extent + radius * rng.uniform(-0.5, 0.5) if i == 0 else rng.uniform(0.25, 0.6)
         inward = np.arctan2(0.5 - centre[1], w / h / 2 - centre[0]) + rng.uniform(-1, 1)
         turn = rng.uniform(0, 2 * np.pi) if i == 0 and 0 < light.min() < light.max() < 1 else inward
-        place = centre + away * np.array([np.cos(turn), np.sin(turn)])
-        # A grille only where glare does not hide it: its bars cannot be told there.
-        kinds = 3 if i == 0 else 4
-        shape = _object(rng, x - place[0], y - place[1], across, kinds)
+        position = centre + away * np.array([np.cos(turn), np.sin(turn)])
+        kinds = OBJECT_KINDS_WITHOUT_GRILLE if i == 0 else OBJECT_KINDS
+        shape = _object(rng, x - position[0], y - position[1], extent, kinds)
         painted[shape] = _shaded(rng, x, y)[shape]
         solid |= shape
     veil = rng.uniform(0.02, 0.1)
@@ -85,31 +103,31 @@ def made(
         "radius": float(radius),
         "veil": round(255 * veil) / 255,
     }
-    clipped = rng.uniform(0.002, 0.1)
+    clipped_share = rng.uniform(0.002, 0.1)
     if shared is not None:
         truth |= shared
     scale = float(rng.choice([1.0, 0.5]))
-    low = mask if scale == 1 else shrink(mask, (h // 2, w // 2))
-    unit = _light_pass(low, size, truth | {"exposure": 1.0}, shader, clamp=False)
-    room = ((1 - painted) / tint).min(-1) / np.maximum(unit, 1e-6)
-    # Exposed so that so large a share of the picture is clipped, as people set it.
-    exposure = float(np.quantile(room, clipped))
-    while np.mean(room < 1.02 * exposure) > clipped + 0.01:
-        # Where all of the background would come to its limit at once, under it.
+    pass_mask = mask if scale == 1 else shrink(mask, (h // 2, w // 2))
+    unit = _light_pass(pass_mask, size, truth | {"exposure": 1.0}, shader, clamp=False)
+    clipping_exposure = ((1 - painted) / tint).min(-1) / np.maximum(unit, 1e-6)
+    # A share of the picture is clipped, as people set the exposure.
+    exposure = float(np.quantile(clipping_exposure, clipped_share))
+    while np.mean(clipping_exposure < 1.02 * exposure) > clipped_share + 0.01:
+        # All of a flat background would clip at once: the exposure stays below that.
         exposure *= 0.97
     truth["exposure"] = exposure if shared is None else shared["exposure"]
-    light_pass = _light_pass(low, size, truth, shader, clamp=scale != 1)
+    light_pass = _light_pass(pass_mask, size, truth, shader, clamp=scale != 1)
     levels = np.floor(255 * np.clip(painted, 0, 1) + 0.5) + np.floor(
         255 * np.clip(light_pass[..., None] * tint, 0, 1) + 0.5
     )
     image = np.clip(levels, 0, 255).astype(np.uint8)
-    panels = _panels(rng, image, centre * h) if panel else ()
-    return Screen(image, truth, panels, mask, scale)
+    panels = _paint_panels(rng, image, centre * h) if frame is None else ()
+    return Screenshot(image, truth, panels, mask, scale)
 
 
 def without_rays(seed: int, size: tuple[int, int] = (270, 480)) -> tuple[str, np.ndarray]:
-    """(subject, (h, w, 3) bytes) a picture without rays: what a game draws before its light pass, a
-    landscape with a sun, something cloudy, a page of text, or noise."""
+    """(subject, (h, w, 3) bytes) a picture without rays: a game's frame before its light pass, a
+    landscape with a sun, clouds, a page of text, or noise."""
     rng = np.random.default_rng([seed, len(BACKGROUNDS)])
     subject = list(SUBJECTS)[seed % len(SUBJECTS)]
     image = SUBJECTS[subject](rng, size)
@@ -117,29 +135,30 @@ def without_rays(seed: int, size: tuple[int, int] = (270, 480)) -> tuple[str, np
 
 
 def _scene(rng: np.random.Generator, size: tuple[int, int]) -> np.ndarray:
-    x, y = _metric(size)
+    x, y = _picture_heights(size)
     image = _background(rng, str(rng.choice(BACKGROUNDS)), size)
     for _ in range(rng.integers(2, 6)):
-        place = rng.uniform(0, (size[1] / size[0], 1))
-        shape = _object(rng, x - place[0], y - place[1], rng.uniform(0.05, 0.25), 4)
+        position = rng.uniform(0, (size[1] / size[0], 1))
+        extent = rng.uniform(0.05, 0.25)
+        shape = _object(rng, x - position[0], y - position[1], extent, OBJECT_KINDS)
         image[shape] = _shaded(rng, x, y)[shape]
     return image
 
 
 def _land(rng: np.random.Generator, size: tuple[int, int]) -> np.ndarray:
-    x, y = _metric(size)
+    x, y = _picture_heights(size)
     sky = rng.uniform(0.2, 0.7, 3) + (y[..., None] - 0.5) * rng.uniform(-0.4, 0.4, 3)
     sun = np.hypot(x - rng.uniform(0.2, x.max() - 0.2), y - rng.uniform(0.5, 0.9))
     sky = np.where((sun < rng.uniform(0.02, 0.08))[..., None], 1.0, sky)
     ridge = 0.35 + 0.1 * np.sin(x * rng.uniform(2, 5) + rng.uniform(0, 6.3))
-    ridge = ridge + 0.03 * _rough(rng, size, 2.0)[:1]
-    ground = rng.uniform(0.05, 0.4, 3) * (1 + 0.4 * _rough(rng, size, 1.2)[..., None])
+    ridge = ridge + 0.03 * _power_law_noise(rng, size, 2.0)[:1]
+    ground = rng.uniform(0.05, 0.4, 3) * (1 + 0.4 * _power_law_noise(rng, size, 1.2)[..., None])
     return np.where((y < ridge)[..., None], ground, sky)
 
 
 def _cloud(rng: np.random.Generator, size: tuple[int, int]) -> np.ndarray:
-    shared = _rough(rng, size, rng.uniform(1.0, 2.0))[..., None]
-    return rng.uniform(0.2, 0.6, 3) + shared * rng.uniform(0.05, 0.2, 3)
+    noise = _power_law_noise(rng, size, rng.uniform(1.0, 2.0))[..., None]
+    return rng.uniform(0.2, 0.6, 3) + noise * rng.uniform(0.05, 0.2, 3)
 
 
 def _text(rng: np.random.Generator, size: tuple[int, int]) -> np.ndarray:
@@ -148,37 +167,44 @@ def _text(rng: np.random.Generator, size: tuple[int, int]) -> np.ndarray:
     page, line = np.full(size, paper), int(rng.integers(9, 16))
     dot = line // 5
     for top in range(line, h - line, line):
-        at = int(rng.integers(8, 30))
-        while at < w - 2 * line:
+        left = int(rng.integers(8, 30))
+        while left < w - 2 * line:
             if rng.uniform() < 0.2:
-                at += line // 2
+                left += line // 2
             letter = np.kron(rng.uniform(size=(3, 2)) < 0.6, np.ones((dot, dot), bool))
-            page[top : top + 3 * dot, at : at + 2 * dot][letter] = ink
-            at += 2 * dot + 2
+            page[top : top + 3 * dot, left : left + 2 * dot][letter] = ink
+            left += 2 * dot + 2
     return page[..., None] * rng.uniform(0.8, 1.0, 3)
 
 
 def _noise(rng: np.random.Generator, size: tuple[int, int]) -> np.ndarray:
-    wide = rng.uniform(0, 1.5)
-    fine = ndimage.gaussian_filter(rng.standard_normal((*size, 3)), (wide, wide, 0))
-    return rng.uniform(0.3, 0.6) + rng.uniform(0.02, 0.15) * fine / np.std(fine)
+    sigma = rng.uniform(0, 1.5)
+    noise = ndimage.gaussian_filter(rng.standard_normal((*size, 3)), (sigma, sigma, 0))
+    return rng.uniform(0.3, 0.6) + rng.uniform(0.02, 0.15) * noise / np.std(noise)
 
 
 SUBJECTS = {"scene": _scene, "land": _land, "cloud": _cloud, "text": _text, "noise": _noise}
+"""Painters of pictures without rays, (rng, size) -> (h, w, 3), by subject."""
 
 
-def _rough(rng: np.random.Generator, size: tuple[int, int], falls: float) -> np.ndarray:
-    """(h, w) noise whose amplitude falls with frequency to the power of ``falls``, of deviation
-    1."""
+def _power_law_noise(
+    rng: np.random.Generator, size: tuple[int, int], exponent: float
+) -> np.ndarray:
+    """(h, w) noise of standard deviation 1 whose amplitude is 1 / frequency**exponent."""
     down, across = np.fft.fftfreq(size[0])[:, None], np.fft.rfftfreq(size[1])[None]
     frequency = np.hypot(down, across)
     frequency[0, 0] = np.inf
-    wave = np.fft.rfft2(rng.standard_normal(size)) * frequency**-falls
+    wave = np.fft.rfft2(rng.standard_normal(size)) * frequency**-exponent
     noise = np.fft.irfft2(wave, s=size)
     return noise / noise.std()
 
 
 def _light_pass(mask, size, truth, shader, *, clamp):
+    """(h, w) the light pass of ``size``, from a mask of that size or of half of it.
+
+    With ``clamp`` a smaller pass is stored clamped and then enlarged, as shaders have it. Without,
+    the mask is enlarged instead: the exposure, on which clamping depends, is not known yet.
+    """
     model = Mitchell(
         truth["exposure"], truth["decay"], truth["density"], truth["weight"],
         [[truth["light_x"], truth["light_y"]]], shader, int(truth["samples"]),
@@ -189,15 +215,15 @@ def _light_pass(mask, size, truth, shader, *, clamp):
     return np.asarray(model(jnp.asarray(mask), size=size))
 
 
-def _metric(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """x to the right and y up, in picture heights."""
+def _picture_heights(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """(h, w) x to the right and y up, in picture heights, at the pixels' middles."""
     h, w = size
     return np.meshgrid((np.arange(w) + 0.5) / h, 1 - (np.arange(h) + 0.5) / h)
 
 
 def _background(rng: np.random.Generator, kind: str, size: tuple[int, int]) -> np.ndarray:
     """(h, w, 3) the ordinary pass without objects."""
-    x, y = _metric(size)
+    x, y = _picture_heights(size)
     colour = rng.uniform(0, 0.45, 3)
     if kind == "flat":
         return np.broadcast_to(np.where(rng.uniform() < 0.2, 0.0, colour), (*size, 3)).copy()
@@ -243,18 +269,19 @@ def _shaded(rng: np.random.Generator, x, y) -> np.ndarray:
     return rng.uniform(0.0, 0.4, 3) * (lit * grain)[..., None]
 
 
-def _panels(rng: np.random.Generator, image: np.ndarray, light: np.ndarray):
-    """Panels painted into ``image``, away from the light, up to 15% of the picture."""
+def _paint_panels(rng: np.random.Generator, image: np.ndarray, light: np.ndarray):
+    """Paint a panel into ``image``, away from the light (in pixels), of up to 15% of the picture;
+    the panels."""
     h, w = image.shape[:2]
     share = rng.uniform(0, 0.15)
-    wide = int(w * rng.uniform(0.12, 0.3))
-    tall = min(int(share * h * w / wide), h)
-    if tall < 12:
+    width = int(w * rng.uniform(0.12, 0.3))
+    height = min(int(share * h * w / width), h)
+    if height < 12:
         return ()
-    left = 0 if light[0] > w / 2 else w - wide
-    top = 0 if rng.uniform() < 0.5 else h - tall
-    image[top : top + tall, left : left + wide] = rng.integers(15, 60)
-    for row in range(top + 3, top + tall - 6, 10):
-        image[row : row + 5, left + 4 : left + 4 + int(wide * rng.uniform(0.2, 0.5))] = 200
-        image[row - 1 : row + 6, left + int(0.6 * wide) : left + int(0.9 * wide)] = (47, 161, 214)
-    return ((left, top, wide, tall),)
+    left = 0 if light[0] > w / 2 else w - width
+    top = 0 if rng.uniform() < 0.5 else h - height
+    image[top : top + height, left : left + width] = rng.integers(15, 60)
+    for row in range(top + 3, top + height - 6, 10):
+        image[row : row + 5, left + 4 : left + 4 + int(width * rng.uniform(0.2, 0.5))] = 200
+        image[row - 1 : row + 6, left + int(0.6 * width) : left + int(0.9 * width)] = (47, 161, 214)
+    return ((left, top, width, height),)

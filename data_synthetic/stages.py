@@ -1,31 +1,28 @@
-"""The scenes of the source projects, rebuilt from primitives: what make.py draws with the program's
-own rasteriser.
-
-Conventions are those of scene files. A thing is a list of parts, each an [[object]]; ``placed``
-moves it as a whole.
+"""The scenes of the source projects, rebuilt from primitives; make.py draws them with the program's
+own rasteriser. Conventions are those of scene files.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-
-Part = dict[str, Any]
-Three = tuple[float, float, float]
+from bodies import Part, Vector3, ball, box, floor, placed, ring, rod, strut
 
 
 @dataclass
 class Stage:
-    """A scene and what its target is rendered with. ``size`` is (height, width); ``known`` names
-    what manifest.json tells of the scene beside light and camera."""
+    """A scene and the settings of its target. ``light`` and ``camera`` are positions, ``radius`` is
+    the light's, ``clear`` the background's colour ("#rrggbb"), ``params`` are the shader's by name
+    and ``size`` is (height, width). ``known`` are the keys of the scene whose values manifest.json
+    has, beside light and camera."""
 
     parts: list[Part]
-    camera: Three
-    light: Three
+    camera: Vector3
+    light: Vector3
     radius: float
     clear: str
     shader: str
@@ -37,7 +34,7 @@ class Stage:
     known: tuple[str, ...] = ()
 
     def text(self) -> str:
-        """The scene file."""
+        """The text of the scene file."""
         height, width = self.size
         tables = [
             ("[image]", {"width": width, "height": height, "antialias": self.antialias}),
@@ -63,98 +60,15 @@ def _toml(value: Any) -> str:
     return f"{round(value, 5) + 0:.10g}"
 
 
-def box(x: float, y: float, z: float, *, at: Three, turn: Three = (0, 0, 0)) -> Part:
-    return _part("box", at, turn, size=[x, y, z])
-
-
-def ball(radius: float, *, at: Three, turn: Three = (0, 0, 0), subdivisions: int = 3) -> Part:
-    return _part("icosphere", at, turn, radius=radius, subdivisions=subdivisions)
-
-
-def rod(
-    radius: float, height: float, *, at: Three, turn: Three = (0, 0, 0), segments: int = 32
-) -> Part:
-    """A cylinder along y."""
-    return _part("cylinder", at, turn, radius=radius, height=height, segments=segments)
-
-
-def ring(radius: float, tube: float, *, at: Three, turn: Three = (0, 0, 0)) -> Part:
-    """A torus about z."""
-    return _part("torus", at, turn, radius=radius, tube=tube)
-
-
-def floor(width: float, depth: float, *, at: Three) -> Part:
-    return _part("plane", at, (-90, 0, 0), width=width, height=depth)
-
-
-def _part(primitive: str, at: Three, turn: Three, **sizes: Any) -> Part:
-    return {"primitive": primitive, **sizes, "position": at, "rotation": turn}
-
-
-def strut(radius: float, start: Three, end: Three) -> Part:
-    """A thin cylinder from here to there."""
-    along = np.subtract(end, start)
-    x, y, z = along / np.linalg.norm(along)
-    # Rx Ry Rz takes y to (-sin c, cos a cos c, sin a cos c), with b = 0.
-    turn = np.rad2deg([np.arctan2(z, y), 0, np.arctan2(-x, np.hypot(y, z))])
-    middle = np.add(start, end) / 2
-    return rod(
-        radius,
-        float(np.linalg.norm(along)),
-        at=tuple(middle.tolist()),
-        turn=tuple(turn.tolist()),
-        segments=12,
-    )
-
-
-def matrix(turn: Three) -> np.ndarray:
-    """Rx Ry Rz of angles in degrees."""
-    found = np.eye(3)
-    for angle, i, j in zip(np.deg2rad(turn), (1, 2, 0), (2, 0, 1), strict=True):
-        one = np.eye(3)
-        one[[i, j, i, j], [i, j, j, i]] = (
-            np.cos(angle),
-            np.cos(angle),
-            -np.sin(angle),
-            np.sin(angle),
-        )
-        found = found @ one
-    return found
-
-
-def angles(turn: np.ndarray) -> Three:
-    """The angles of a matrix, as three.js finds them."""
-    y = np.arcsin(np.clip(turn[0, 2], -1, 1))
-    if abs(turn[0, 2]) < 0.9999999:
-        x, z = np.arctan2(-turn[1, 2], turn[2, 2]), np.arctan2(-turn[0, 1], turn[0, 0])
-    else:
-        x, z = np.arctan2(turn[2, 1], turn[1, 1]), 0.0
-    x, y, z = np.rad2deg([x, y, z]).tolist()
-    return x, y, z
-
-
-def placed(
-    parts: Iterable[Part], at: Three, turn: Three | np.ndarray = (0, 0, 0), scale: float = 1.0
-) -> list[Part]:
-    """The parts as one body, scaled, turned and moved."""
-    whole = turn if isinstance(turn, np.ndarray) else matrix(turn)
-    return [
-        part
-        | {
-            "position": (np.array(at) + scale * whole @ part["position"]).tolist(),
-            "rotation": angles(whole @ matrix(part["rotation"])),
-            "scale": scale * part.get("scale", 1.0),
-        }
-        for part in parts
-    ]
-
-
-def _mitchell(*four: float) -> dict[str, float]:
-    return dict(zip(("exposure", "decay", "density", "weight"), four, strict=True))
+def mitchell_params(
+    exposure: float, decay: float, density: float, weight: float
+) -> dict[str, float]:
+    """Mitchell's four parameters by name, in the order of the manifest."""
+    return {"exposure": exposure, "decay": decay, "density": density, "weight": weight}
 
 
 def skull() -> Stage:
-    """Cranium, rings for the sockets, and two rows of teeth."""
+    """A cranium, rings for the sockets, and two rows of teeth."""
     head = [
         ball(0.86, at=(0, 0.86, -0.1)),
         box(1.34, 0.16, 0.3, at=(0, 0.1, 0.1)),
@@ -181,7 +95,7 @@ def skull() -> Stage:
     ]
     return Stage(
         placed(head, (0, 0.3, 2), (4, -6, 0), 1.35), (-0.04, -0.68, 6.97), (0, 0, 0), 1.15,
-        "#111111", "dawntime", 200, _mitchell(0.05, 0.99, 0.8, 0.8),
+        "#111111", "dawntime", 200, mitchell_params(0.05, 0.99, 0.8, 0.8),
         "A skull before the light, which shows through sockets, nose and teeth.", antialias=False,
     )  # fmt: skip
 
@@ -206,7 +120,7 @@ def ship() -> Stage:
             hull.append(strut(0.045, (x, 0, 0), rim))
     return Stage(
         placed(hull, (0.1, 0.05, 3), (14, 42, 5), 1.2), (0.4, 0.6, 7), (-0.1, 0.1, 0), 1.3,
-        "#0c1418", "vesper", 150, _mitchell(0.05, 0.99, 0.8, 0.8),
+        "#0c1418", "vesper", 150, mitchell_params(0.05, 0.99, 0.8, 0.8),
         "A ship across the light: spokes and rings; the clear colour is not grey.",
         size=(180, 320),
     )  # fmt: skip
@@ -232,7 +146,7 @@ def satellite() -> Stage:
                 craft += [strut(0.12, (5.2 * side, y + end, 0), (15.4 * side, y + end, 0))]
     return Stage(
         placed(craft, (0, 5, 75), (8, -18, -9), 1.7), (-10, 6, 110), (-8, 25, 0), 15,
-        "#1a1a1a", "dawntime", 200, _mitchell(0.05, 0.985, 0.85, 0.6),
+        "#1a1a1a", "dawntime", 200, mitchell_params(0.05, 0.985, 0.85, 0.6),
         "Solar cells and struts before a light away from the middle; clear colour #1a1a1a.",
         size=(180, 320), antialias=False,
     )  # fmt: skip
@@ -260,7 +174,7 @@ def warehouse() -> Stage:
     ]
     return Stage(
         hall, (0.35, -0.2, 3.4), (0.1, 0.2, -4), 1.25, "#0a0a0a", "dawntime", 200,
-        _mitchell(0.2, 0.99, 0.8, 0.8), "Light through window bars, at a high exposure.",
+        mitchell_params(0.2, 0.99, 0.8, 0.8), "Light through window bars, at a high exposure.",
     )  # fmt: skip
 
 
@@ -283,13 +197,18 @@ def table() -> Stage:
     things.append(floor(9, 4, at=(0, -1.86, 2.6)) | {"colour": "#010101"})
     return Stage(
         things, (0.2, 0.25, 6.6), (-0.2, -0.5, -1), 1.35, "#0e0e0e", "mitchell", 100,
-        _mitchell(0.06, 0.97, 0.9, 0.7), "A table, and what stands on it, before a low light.",
+        mitchell_params(0.06, 0.97, 0.9, 0.7),
+        "A table, and what stands on it, before a low light.",
     )  # fmt: skip
 
 
+ORBIT_RADIANS = 0.009
+"""Radians that the icosahedron moves round the light in an update, as in the source."""
+
+
 def icosahedra(update: float) -> Stage:
-    """One icosahedron goes round the light as in the source's updates, smaller ones further in."""
-    a, turn = 0.009 * update, np.rad2deg(update)
+    """An icosahedron that orbits the light as in the source's updates, smaller ones further in."""
+    a, turn = ORBIT_RADIANS * update, np.rad2deg(update)
     things = [ball(1, at=(4 * np.sin(a), 0, 4 * np.cos(a)), turn=(0.01 * turn, 0.005 * turn, 0))]
     for k in range(1, 6):
         b, height = a + np.pi * k / 3, 0.45 * np.sin(2.4 * k)
@@ -298,45 +217,57 @@ def icosahedra(update: float) -> Stage:
     known = [f"object[{i}].{key}" for i in range(6) for key in ("position", "rotation")]
     return Stage(
         [part | {"subdivisions": 0} for part in things], (0, 0, 8), (0, 0, 0), 1.5, "#080808",
-        "dawntime", 140, _mitchell(0.08, 0.975, 0.8, 0.6), "Icosahedra going round the light.",
-        size=(128, 128), known=tuple(known),
+        "dawntime", 140, mitchell_params(0.08, 0.975, 0.8, 0.6),
+        "Icosahedra going round the light.", size=(128, 128), known=tuple(known),
     )  # fmt: skip
 
 
-LAP = 480  # updates in which the craft flies once round its path
+LAP_UPDATES = 480
+"""Updates in which the craft flies once round its path."""
+
+SETTLING_LAPS = 4
+"""Laps of the pursuer that are not kept; after them every lap is the same."""
+
+PURSUER_TURN = 3.0
+"""Degrees that the pursuer's heading turns by at most in an update."""
+
+PURSUER_GAP = 1.5
+"""Distance at which the pursuer is as fast as the leading craft; it is faster farther off."""
 
 
-def path(update: float) -> np.ndarray:
-    """(3,) where the leading craft is: a closed path round the light, and through its gates."""
-    t = 2 * np.pi * update / LAP + 0.35
+def leader_position(update: float) -> np.ndarray:
+    """(3,) the position of the leading craft: a closed path round the light, through its gates."""
+    t = 2 * np.pi * update / LAP_UPDATES + 0.35
     return np.array([1.9 * np.sin(t), 0.75 * np.sin(2 * t) + 0.15, 2.6 + 0.9 * np.cos(t + 0.6)])
 
 
 @functools.cache
 def pursuit() -> tuple[np.ndarray, np.ndarray]:
-    """(LAP, 3) places and headings of the craft that follows by steering: every update its heading
-    turns towards the other by a few degrees at most, and it is faster the further it lags. The
-    first laps are for settling; then every lap is the same."""
-    gap, most = 1.5, np.deg2rad(3.0)
-    pace = np.mean([np.linalg.norm(path(k + 1) - path(k)) for k in range(LAP)])
-    place, heading = path(-60), np.array([1.0, 0.0, 0.0])
-    places, headings = np.empty((2, LAP, 3))
-    for k in range(-4 * LAP, LAP):
+    """(LAP_UPDATES, 3) positions and headings of the craft that follows by steering: its heading
+    turns towards the other by a few degrees an update at most, and it is faster the further it
+    lags."""
+    most = np.deg2rad(PURSUER_TURN)
+    pace = np.mean([
+        np.linalg.norm(leader_position(k + 1) - leader_position(k)) for k in range(LAP_UPDATES)
+    ])  # fmt: skip
+    position, heading = leader_position(-60), np.array([1.0, 0.0, 0.0])
+    positions, headings = np.empty((2, LAP_UPDATES, 3))
+    for k in range(-SETTLING_LAPS * LAP_UPDATES, LAP_UPDATES):
         if k >= 0:
-            places[k], headings[k] = place, heading
-        away = path(k) - place
+            positions[k], headings[k] = position, heading
+        away = leader_position(k) - position
         distance = np.linalg.norm(away)
         angle = np.arccos(np.clip(heading @ away / distance, -1, 1))
         # Along the great circle from one direction to the other.
         share = min(1.0, most / max(angle, 1e-9))
         heading = (1 - share) * heading + share * away / distance
         heading /= np.linalg.norm(heading)
-        place = place + pace * np.clip(distance / gap, 0.5, 1.5) * heading
-    return places, headings
+        position = position + pace * np.clip(distance / PURSUER_GAP, 0.5, 1.5) * heading
+    return positions, headings
 
 
 def craft(at: np.ndarray, heading: np.ndarray, size: float) -> list[Part]:
-    """A small craft; its nose is where it is heading."""
+    """A small craft at a position, its nose in the direction ``heading``."""
     back = -heading / np.linalg.norm(heading)
     right = np.cross([0, 1, 0], back)
     right /= np.linalg.norm(right)
@@ -353,12 +284,13 @@ def craft(at: np.ndarray, heading: np.ndarray, size: float) -> list[Part]:
 
 def flight(update: float) -> Stage:
     """One craft on a closed path round the light, a second after it, and gates to fly through."""
-    k = int(update) % LAP
-    places, headings = pursuit()
-    parts = craft(path(k), path(k + 1) - path(k - 1), 0.85)
-    parts += craft(places[k], headings[k], 0.65)
+    k = int(update) % LAP_UPDATES
+    positions, headings = pursuit()
+    parts = craft(leader_position(k), leader_position(k + 1) - leader_position(k - 1), 0.85)
+    parts += craft(positions[k], headings[k], 0.65)
     for gate in (0.18, 0.7):
-        at, onwards = path(gate * LAP), path(gate * LAP + 1) - path(gate * LAP)
+        at = leader_position(gate * LAP_UPDATES)
+        onwards = leader_position(gate * LAP_UPDATES + 1) - at
         turn = (0.0, float(np.rad2deg(np.arctan2(onwards[0], onwards[2]))), 0.0)
         parts += placed([ring(0.55, 0.06, at=(0, 0, 0))], (at[0], at[1], at[2]), turn)
     for k in range(1, 12):  # rocks on a spiral
@@ -367,7 +299,7 @@ def flight(update: float) -> Stage:
         parts.append(ball(0.1 + 0.09 * (0.618 * k % 1), at=at, turn=(50 * k, 0, 0), subdivisions=1))
     return Stage(
         parts, (0.6, 0.7, 6.4), (0, 0, 0), 1.0, "#0c0c0c", "vesper", 150,
-        _mitchell(0.05, 0.982, 0.8, 0.7), "A craft on a closed path and one that pursues it.",
+        mitchell_params(0.05, 0.982, 0.8, 0.7), "A craft on a closed path and one that pursues it.",
         size=(128, 128), antialias=False, known=("object[0].position", "object[5].position"),
     )  # fmt: skip
 
@@ -375,9 +307,24 @@ def flight(update: float) -> Stage:
 STAGES: dict[str, Callable[[], Stage]] = {
     "skull": skull, "ship": ship, "satellite": satellite, "warehouse": warehouse, "table": table,
 }  # fmt: skip
-# name: (the stage at an update, updates of a lap, of the first frame kept, and between two).
-SEQUENCES: dict[str, tuple[Callable[[float], Stage], float, int, int]] = {
-    "icosahedra": (icosahedra, 2 * np.pi / 0.009, 20, 60),
-    "flight": (flight, LAP, 10, LAP // 6),
+"""Scenes that do not move, by name."""
+
+SEQUENCE_FRAMES = 6
+"""Frames of a moving scene that have targets, spread over its lap."""
+
+
+class Sequence(NamedTuple):
+    """A moving scene: the ``stage`` at an update, the updates of a ``lap``, the update of the
+    ``first`` frame, and the updates between two frames, ``step``."""
+
+    stage: Callable[[float], Stage]
+    lap: float
+    first: int
+    step: int
+
+
+SEQUENCES = {
+    "icosahedra": Sequence(icosahedra, 2 * np.pi / ORBIT_RADIANS, 20, 60),
+    "flight": Sequence(flight, LAP_UPDATES, 10, LAP_UPDATES // 6),
 }
-FRAMES = 6
+"""Scenes that move, by name."""

@@ -17,7 +17,7 @@ import godfit.search  # noqa: F401
 from godfit.blind import photograph, unaided
 from godfit.errors import InputError
 from godfit.flatland.canvas import Canvas
-from godfit.flatland.inputs import prepared
+from godfit.flatland.fit_setup import prepare_fit
 from godfit.inference.fitted import Found
 from godfit.inference.problem import MAX_VALUES, Problem, checked_picture, given_and_held
 from godfit.inference.strategy import Effort, left_open, refined_mask, search
@@ -216,7 +216,7 @@ def _pose(request: Request) -> Posed:
     model: AbstractModel
     if request.canvas is not None:
         request.report("rays")
-        model, picture, images["canvas"] = prepared(
+        model, picture, images["canvas"] = prepare_fit(
             images["target"], request.canvas, request.rays, request.valid
         )
     else:

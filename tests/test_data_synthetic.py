@@ -17,7 +17,7 @@ from godfit.scenes.raster import on_screen
 from godfit.scenes.scene import read_scene
 from godfit.scenes.view import drawn_mask
 from tests.support.paths import DATA_SYNTHETIC as FOLDER
-from tests.support.synthetic import make, stages
+from tests.support.synthetic import bodies, make, stages
 
 MANIFEST = json.loads((FOLDER / "manifest.json").read_text())
 TARGETS, SCENES, CANVASES, SCREENS = (
@@ -49,7 +49,7 @@ def made(tmp_path_factory):
     names = iter(CANVASES)
     with pytest.MonkeyPatch.context() as patch, jax.enable_x64(True):
         patch.setattr(make, "render_stage", render_stage)
-        patch.setattr(make, "plane", lambda *_: lying(CANVASES[next(names)]["target"]))
+        patch.setattr(make, "render_plane", lambda *_: lying(CANVASES[next(names)]["target"]))
         make.make(folder)
     return folder
 
@@ -201,8 +201,8 @@ def test_icosahedron_moves_as_in_the_source():
 
 
 def test_flight_is_closed_and_pursued():
-    lap = stages.LAP
-    path = np.array([stages.path(k) for k in range(lap + 1)])
+    lap = stages.LAP_UPDATES
+    path = np.array([stages.leader_position(k) for k in range(lap + 1)])
     places, headings = stages.pursuit()
     np.testing.assert_allclose(path[0], path[-1], atol=1e-12)
     steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
@@ -223,20 +223,21 @@ def test_flight_truth_is_where_they_are():
     for i in range(6):
         truth = SCENES[f"flight_{i}"]
         leader, pursuer = (truth["known"][f"object[{k}].position"] for k in (0, 5))
-        np.testing.assert_allclose(leader, stages.path(truth["update"]), atol=1e-5)
+        np.testing.assert_allclose(leader, stages.leader_position(truth["update"]), atol=1e-5)
         np.testing.assert_allclose(pursuer, stages.pursuit()[0][truth["update"]], atol=1e-5)
 
 
 @pytest.mark.parametrize("turn", [(10, 20, 30), (-170, 60, 5), (20, 90, 0), (0, -90, 35)])
 def test_angles_are_those_of_the_matrix(turn):
-    matrix = stages.matrix(turn)
-    np.testing.assert_allclose(stages.matrix(stages.angles(matrix)), matrix, atol=1e-7)
+    matrix = bodies.rotation_matrix(turn)
+    angles = bodies.rotation_angles(matrix)
+    np.testing.assert_allclose(bodies.rotation_matrix(angles), matrix, atol=1e-7)
 
 
 @pytest.mark.parametrize("end", [(0, 1, 0), (2, -1, 0.5), (-1, 0, 0), (0, 0, 3)])
 def test_strut_ends_where_it_should(end):
-    part = stages.strut(0.1, (0, 0, 0), end)
-    tip = part["position"] + stages.matrix(part["rotation"]) @ [0, part["height"] / 2, 0]
+    part = bodies.strut(0.1, (0, 0, 0), end)
+    tip = part["position"] + bodies.rotation_matrix(part["rotation"]) @ [0, part["height"] / 2, 0]
     np.testing.assert_allclose(tip, end, atol=1e-12)
 
 

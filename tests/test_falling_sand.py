@@ -23,7 +23,7 @@ def test_no_grain_is_lost_or_made(shape):
     start = random_cells(shape, 1)
     for cells in run(start, 60):
         assert sand.grains(cells) == sand.grains(start)
-        np.testing.assert_array_equal(cells == sand.SOLID, start == sand.SOLID)
+        np.testing.assert_array_equal(cells == sand.SOLID_CELL, start == sand.SOLID_CELL)
 
 
 def test_one_seed_is_one_sequence():
@@ -47,7 +47,7 @@ def test_a_grain_falls_straight_and_stops():
 
 def test_solid_cells_hold_it():
     start = np.zeros((12, 9), np.int8)
-    start[6, 2:7], start[0, 3:6] = sand.SOLID, 2
+    start[6, 2:7], start[0, 3:6] = sand.SOLID_CELL, 2
     end = run(start, 80)[-1]
     np.testing.assert_array_equal(np.argwhere(end == 2), [[5, 3], [5, 4], [5, 5]])
 
@@ -63,15 +63,15 @@ def test_a_column_becomes_a_heap():
     assert abs(np.average(np.arange(61), weights=heights) - 30) < 1.5
     # At rest: what lies has something under it.
     lying = np.argwhere(end == 2)
-    assert all(row == 39 or end[row + 1, column] != sand.EMPTY for row, column in lying)
+    assert all(row == 39 or end[row + 1, column] != sand.EMPTY_CELL for row, column in lying)
 
 
 def test_frames_are_the_manifest_s():
     states = canvases.sand_frames()
     manifest = json.loads((DATA_SYNTHETIC / "manifest.json").read_text())["canvases"]
-    assert len(states) == canvases.FRAMES == sum("sand" in name for name in manifest)
+    assert len(states) == canvases.SAND_FRAMES == sum("sand" in name for name in manifest)
     for i, cells in enumerate(states):
         truth = manifest[f"plane_sand_{i}"]
         assert truth["grains"] == {str(k): v for k, v in sand.grains(cells).items()}
-        assert truth["seed"] == canvases.SEED
+        assert truth["seed"] == canvases.SAND_SEED
     assert all((a != b).any() for a, b in zip(states[1:], states, strict=False))

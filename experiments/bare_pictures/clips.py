@@ -48,11 +48,13 @@ def clip(seed: int, count: int, kind: str, size: tuple[int, int] = (270, 480)):
     """The truth and the frames (bytes) of a seed."""
     rng = np.random.default_rng(seed)
     ends = rng.uniform(0.2, 0.8, (2, 2))
-    truth = screens.made(seed, kind, size, at=ends[0], panel=False).truth
+    truth = screens.make_screenshot(seed, kind, size, frame=screens.ClipFrame(ends[0])).truth
     shared = {name: truth[name] for name in SHARED}
     path = ends[0] + (ends[1] - ends[0]) * np.linspace(0, 1, count)[:, None]
     frames = (
-        screens.made(100 * seed + i, kind, size, at=at, shared=shared, panel=False).image
+        screens.make_screenshot(
+            100 * seed + i, kind, size, frame=screens.ClipFrame(at, shared)
+        ).image
         for i, at in enumerate(path)
     )
     return shared, path, frames

@@ -45,7 +45,11 @@ def main() -> int:
 
 def judged(kind: str, seed: int) -> dict[str, float]:
     """A screenshot read: errors, errors over what is quoted, converged, warned."""
-    screen = photographs.taken(seed) if kind == PHOTOGRAPH else screens.made(seed, kind)
+    screen = (
+        photographs.make_photograph(seed)
+        if kind == PHOTOGRAPH
+        else screens.make_screenshot(seed, kind)
+    )
     began = time.perf_counter()
     result = fitted(screen)
     row = errors(screen, result) | {"seconds": time.perf_counter() - began}
@@ -70,7 +74,7 @@ def says_so(seed: int) -> bool:
     return told
 
 
-def fitted(screen: screens.Screen | photographs.Photograph) -> godfit.FitResult:
+def fitted(screen: screens.Screenshot | photographs.Photograph) -> godfit.FitResult:
     samples = int(screen.truth["samples"])
     if isinstance(screen, photographs.Photograph):
         return godfit.fit(screen.image, bright_pass=True, shader=screens.SHADER, samples=samples)
@@ -84,7 +88,7 @@ JUDGED = ("light_x", "light_y", "decay", "density", "gain")
 
 
 def errors(
-    screen: screens.Screen | photographs.Photograph, result: godfit.FitResult
+    screen: screens.Screenshot | photographs.Photograph, result: godfit.FitResult
 ) -> dict[str, float]:
     """Errors by name (decay and gain as shares), and name/ over what is quoted."""
     truth, params = screen.truth, result.params

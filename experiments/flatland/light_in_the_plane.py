@@ -118,12 +118,15 @@ def flood() -> None:
             exact = np.asarray(distance_transform_edt(~filled))
             off = np.asarray(jump_flood(jnp.asarray(filled)).distance) - exact
             sky = Sky(*SKY).over(64)
-            given = walks.prepare(made, sky, 64, 0.0, None)
+            settings = walks.TraceSettings(64, walks.steps_to_cross(*made.size))
+            inputs = walks.trace_inputs(made, sky, settings, None)
             room = np.clip(exact - math.sqrt(2), 0, None)
             free = np.pad(np.where(filled, FILLED, room), 1, constant_values=OUTSIDE)
-            how = (64, walks.enough(*made.size), 0.0)
-            flooded = np.asarray(walks.look(given, how, 3))
-            true = np.asarray(walks.look(given._replace(free=jnp.asarray(free)), how, 3))
+            exact_inputs = inputs._replace(
+                grid=inputs.grid._replace(free_distance=jnp.asarray(free))
+            )
+            flooded = np.asarray(walks.trace(inputs, settings, 3))
+            true = np.asarray(walks.trace(exact_inputs, settings, 3))
         total, wrong = total + off.size, wrong + np.count_nonzero(off > 0.5)
         h, w = made.size
         print(f"  {w}x{h}: {100 * np.mean(off > 0.5):.4f}% off, at most {off.max():.2f} pixels; "

@@ -102,10 +102,10 @@ def render(mask: str, output: str, transfer: str, bits: str, **options: Any) -> 
     options |= {name: options[name] or None for name in ("jitter", "published")}
     recorded = read_params(options["params"]) if options["params"] else {}
     if (options["model"] or recorded.get("model")) == "flatland":
-        from godfit.flatland.inputs import rendered
+        from godfit.flatland.file_rendering import render_file
 
         names = (*FLATLAND_OPTIONS, "steps", "exposure")
-        image = rendered(mask, recorded | given_options(options, names))
+        image = render_file(mask, recorded | given_options(options, names))
     else:
         for name in given_options(options, FLATLAND_OPTIONS):
             raise click.UsageError(f"--{name.replace('_', '-')}: expected --model flatland with it")

@@ -1,9 +1,12 @@
 """Light in the plane: two-dimensional global illumination of a drawn canvas.
 
 After "Building Real-Time Global Illumination" (jason.today/gi, 2024): every lit pixel of a canvas
-sends out light, every opaque one stops it. ``canvas.py`` has the canvas, ``drawing.py`` shapes to
-draw it from, ``sky.py`` what lies around it; ``rays.py``, ``cascades.py`` and ``published.py`` are
-ways from there to a picture, ``picture.py`` the way in to all of them.
+emits light, every opaque one stops it.
+
+``canvas.py`` has the canvas, ``drawing.py`` the shapes to draw it from and ``sky.py`` the light
+from outside. ``rays.py``, ``cascades.py`` and ``published.py`` are methods that render it, and
+``rendering.py`` is the entry to all of them; the files ``*_kernel.py`` have their compiled loops.
+``model.py``, ``starts.py`` and ``fit_setup.py`` are for fits.
 """
 
 from godfit.flatland.accumulate import accumulated, effective_frames, weights

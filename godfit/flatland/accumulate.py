@@ -9,50 +9,56 @@ import numpy as np
 
 from godfit.errors import InputError
 
-KEPT = 0.9
-HOW = ("mean", "exponential")
+HISTORY_SHARE = 0.9
+"""Share of the accumulated picture that an exponential accumulation retains at every new frame: the
+article's."""
+
+ACCUMULATIONS = ("mean", "exponential")
+"""Ways to accumulate frames."""
 
 
-def weights(frames: int, how: str = "mean", kept: float = KEPT) -> np.ndarray:
-    """(frames,) what each frame weighs in the end, the first first.
+def weights(frames: int, how: str = "mean", history: float = HISTORY_SHARE) -> np.ndarray:
+    """(frames,) the weight of each frame in the accumulated picture, the first frame first.
 
-    ``mean`` is the running mean; ``exponential`` is mix(new, old, kept) after the first frame, as
-    published: it forgets, and its noise stays that of (1 + kept) / (1 - kept) frames at best (of 11
-    frames, first one included, 5.96), where the mean's falls with every frame.
+    ``mean`` is the running mean. ``exponential`` is mix(new, old, history) after the first frame,
+    as published. It forgets: its noise never falls below that of (1 + history) / (1 - history)
+    frames (5.96 after 11 frames, the first included), whereas that of the mean falls with every
+    frame. Raises InputError.
     """
-    _check(how, kept)
+    _check(how, history)
     if frames < 1:
         raise InputError(f"frames: expected 1 or more, got {frames}")
     if how == "mean":
         return np.full(frames, 1 / frames)
     age = np.arange(frames)[::-1]
-    share = (1 - kept) * kept ** age.astype(float)
-    share[0] = kept ** (frames - 1)
+    share = (1 - history) * history ** age.astype(float)
+    share[0] = history ** (frames - 1)
     return share
 
 
 def effective_frames(weight: np.ndarray) -> float:
-    """How many frames of equal weight would leave as much noise."""
+    """The number of frames of equal weight whose mean would have as much noise."""
     return float(weight.sum() ** 2 / np.square(weight).sum())
 
 
-def accumulated(frames: Iterable[Any], how: str = "mean", kept: float = KEPT) -> Any:
-    """The accumulated picture of ``frames``, arrays of one shape, one in memory at a time."""
-    _check(how, kept)
+def accumulated(frames: Iterable[Any], how: str = "mean", history: float = HISTORY_SHARE) -> Any:
+    """The accumulated picture of ``frames``, arrays of one shape, one in memory at a time. Raises
+    InputError."""
+    _check(how, history)
     total = None
     for number, frame in enumerate(frames, 1):
         if total is None:
             total = frame
         else:
-            new = 1 / number if how == "mean" else 1 - kept
+            new = 1 / number if how == "mean" else 1 - history
             total = total + new * (frame - total)
     if total is None:
         raise InputError("frames: expected 1 or more, got none")
     return total
 
 
-def _check(how: str, kept: float) -> None:
-    if how not in HOW:
-        raise InputError(f"accumulation: expected {' or '.join(HOW)}, got '{how}'")
-    if not 0 <= kept < 1:
-        raise InputError(f"kept: expected a share from 0 to below 1, got {kept:g}")
+def _check(how: str, history: float) -> None:
+    if how not in ACCUMULATIONS:
+        raise InputError(f"accumulation: expected {' or '.join(ACCUMULATIONS)}, got '{how}'")
+    if not 0 <= history < 1:
+        raise InputError(f"history: expected a share from 0 to below 1, got {history:g}")

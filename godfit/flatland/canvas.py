@@ -1,4 +1,4 @@
-"""A drawn canvas: what its pixels emit and how much they hide."""
+"""A canvas: the radiance that its pixels emit and their opacity."""
 
 from __future__ import annotations
 
@@ -12,14 +12,16 @@ from jaxtyping import Array, Float
 from godfit.errors import InputError
 from godfit.io.image import Image, read_layer
 
-# Rays pack a cell's place into 32 bits, the distance field into 15 for a side.
-LARGEST = 16384
-EXR = b"\x76\x2f\x31\x01"
+MAX_CANVAS_SIDE = 16384
+"""Pixels: the kernels number cells in 32 bits, the jump flood rows and columns in 15 bits each."""
+
+EXR_MAGIC = b"\x76\x2f\x31\x01"
+"""The first bytes of an OpenEXR file, by its specification."""
 
 
 class Canvas(eqx.Module):
-    """``radiance`` (h, w, 3), linear, what a pixel sends out whichever way, and ``opacity`` (h, w),
-    the share of the light behind it that it hides: what is seen through a pixel is
+    """``radiance`` (h, w, 3), linear, is what a pixel emits in every direction, and ``opacity``
+    (h, w) the share of the light behind it that it hides: a ray through a pixel carries
     radiance + (1 - opacity) * behind (alpha is associated, as in OpenEXR). Pixels are square.
 
     Opacity is that of the pixel, however long a ray's way through it is. It is meant for the edges
@@ -31,11 +33,12 @@ class Canvas(eqx.Module):
 
     @property
     def size(self) -> tuple[int, int]:
+        """(height, width) in pixels."""
         return self.opacity.shape[0], self.opacity.shape[1]
 
 
 def canvas(radiance, opacity) -> Canvas:
-    """A canvas of arrays; raises InputError unless radiance (h, w, 3) is finite and not negative
+    """A canvas of arrays. Raises InputError unless radiance (h, w, 3) is finite and not negative
     and opacity (h, w) lies between 0 and 1."""
     radiance, opacity = np.asarray(radiance), np.asarray(opacity)
     if opacity.ndim != 2 or radiance.shape != (*opacity.shape, 3) or opacity.size == 0:
@@ -43,9 +46,9 @@ def canvas(radiance, opacity) -> Canvas:
             "canvas: expected radiance (h, w, 3) and opacity (h, w) with pixels, got "
             f"{radiance.shape} and {opacity.shape}"
         )
-    if max(opacity.shape) > LARGEST:
+    if max(opacity.shape) > MAX_CANVAS_SIDE:
         raise InputError(
-            f"canvas: expected at most {LARGEST} rows and columns, got "
+            f"canvas: expected at most {MAX_CANVAS_SIDE} rows and columns, got "
             f"{opacity.shape[0]} x {opacity.shape[1]}; scale it down"
         )
     if not np.isfinite(radiance).all() or not (radiance >= 0).all():
@@ -62,9 +65,9 @@ def canvas(radiance, opacity) -> Canvas:
 
 
 def from_image(image: Image, alpha: np.ndarray | None, *, associated: bool = False) -> Canvas:
-    """The canvas of an image whose colour is emission and whose alpha is opacity: what is not drawn
-    on is transparent, black and opaque is an occluder. ``associated`` says that the colours have
-    been multiplied by alpha already. Raises InputError."""
+    """The canvas of an image whose colour is emission and whose alpha is opacity: a transparent
+    pixel is empty, a black and opaque one is an occluder. ``associated``: the colours have been
+    multiplied by alpha already. Raises InputError."""
     if alpha is None:
         raise InputError(
             f"{image.path!r}: expected a canvas with alpha (colour = emission, alpha = opacity), "
@@ -82,8 +85,9 @@ def from_image(image: Image, alpha: np.ndarray | None, *, associated: bool = Fal
 
 
 def read_canvas(path: str | os.PathLike[str], *, transfer: str = "none") -> Canvas:
-    """The canvas in an image with alpha (associated in EXR, where that is the rule, and nowhere
-    else), or in a scene of shapes (.toml, see ``godfit.flatland.drawing``). Raises InputError."""
+    """The canvas in an image with alpha, or in a scene of shapes (.toml, see
+    ``godfit.flatland.drawing``). Alpha is associated in OpenEXR files, whose rule that is, and in
+    no others. Raises InputError."""
     name = os.fsdecode(path)
     if name.endswith(".toml"):
         from godfit.flatland.drawing import read_drawing
@@ -91,4 +95,4 @@ def read_canvas(path: str | os.PathLike[str], *, transfer: str = "none") -> Canv
         return read_drawing(name).drawn()
     image, alpha = read_layer(name, transfer=transfer)
     with open(name, "rb") as file:
-        return from_image(image, alpha, associated=file.read(4) == EXR)
+        return from_image(image, alpha, associated=file.read(len(EXR_MAGIC)) == EXR_MAGIC)

@@ -1,88 +1,80 @@
-"""One radiance cascade, compiled by numba; see ``godfit.flatland.cascades``.
-
-Arrays are those of ``godfit.flatland.walk_kernel``.
-"""
+"""One radiance cascade, compiled by numba; see ``godfit.flatland.cascades``."""
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
-from godfit.flatland.walk_kernel import FILLED, LANES, SPENT, blend, walk
+from godfit.flatland.kernel_records import Limits, Ray, Stepping, read_grid
+from godfit.flatland.lane_kernel import (
+    LANES,
+    flat_grid,
+    leap_to_limit,
+    new_lanes,
+    new_scratch,
+    set_heading,
+)
+from godfit.flatland.walk_kernel import FILLED, STOPPED, blend, most_hits, walk
 from godfit.runtime.numba_jit import fast_jit
 from godfit.runtime.xla_ffi import answers_version_query, matrix, result, vector
 
 
-@fast_jit
-def _reach(flat, size, x, y, t, limit, ways, steps, little, place, edge, value):
-    """As ``_leap``, every lane from its own place and no farther than ``limit``."""
-    real = x.dtype.type
-    width, high, wide = np.int32(size[0]), real(size[1]), real(size[2])
-    dx, dy, across, down, right, below = ways[0], ways[1], ways[2], ways[3], ways[4], ways[5]
-    zero, one = np.int32(0), np.int32(1)
-    for _ in range(steps):
-        for p in range(LANES):
-            u, v = x[p] + t[p] * dx[p], y[p] + t[p] * dy[p]
-            u = u if u > 0 else real(0)
-            v = v if v > 0 else real(0)
-            u = u if u < wide else wide
-            v = v if v < high else high
-            column, row = np.int32(u), np.int32(v)
-            place[p] = row * width + column
-            a = (real(column) + right[p] - x[p]) * across[p]
-            b = (real(row) + below[p] - y[p]) * down[p]
-            edge[p] = (a if a < b else b) + little
-        for p in range(LANES):
-            value[p] = flat[np.uint32(place[p])]
-        moving = zero
-        for p in range(LANES):
-            there = t[p] + value[p]
-            there = there if there > edge[p] else edge[p]
-            goes = one if (value[p] >= 0) & (t[p] < limit[p]) else zero
-            t[p] = there if goes else t[p]
-            moving += goes
-        if moving == 0:
-            break
+class Cascade(NamedTuple):
+    """The probes of one cascade: ``spacing`` pixels apart, each with rays in ``directions``
+    (rays, 2), right and down, that gather light between the distances ``start`` and ``end``."""
+
+    directions: Any
+    spacing: Any
+    start: Any
+    end: Any
+
+
+class UpperCascade(NamedTuple):
+    """The cascade above, that continues the rays: ``light`` (rows columns, 4 rays), radiance and
+    transmittance of every ray of every probe; the probes' ``rows`` and ``columns``; their
+    ``spacing``, 0 where there is no cascade above; and ``branching``, how many rays one becomes."""
+
+    light: Any
+    rows: Any
+    columns: Any
+    spacing: Any
+    branching: Any
 
 
 @fast_jit
-def _cascade(free, cells, directions, upper, numbers, whole, out):
-    """One cascade with the one above it merged, (rows, columns, 4 rays): radiance and what passes
-    of every ray of the probes of some rows; see ``godfit.flatland.cascades``.
+def _merge_rows(grid, cascade, upper, overshoot, first_row, out):
+    """Some rows of a cascade's probes, from ``first_row`` on, merged with the cascade above.
 
-    ``directions`` (rays, 2); ``upper`` (upper rows columns, 4 branch rays); ``numbers`` are
-    spacing, start and end of this cascade's interval, spacing of the next (0: there is none) and
-    the little; ``whole`` the first row, the upper rows and columns, and how many of its rays one
-    becomes.
+    ``out`` (rows, columns, 4 rays) is the radiance and the transmittance of every ray;
+    ``overshoot`` is how far a ray is taken over a cell's border.
     """
-    real = free.dtype.type
-    spacing, start, end = numbers[0], numbers[1], numbers[2]
-    above, little = numbers[3], numbers[4]
-    begin, up_rows, up_columns, branch = whole[0], whole[1], whole[2], whole[3]
-    width = free.shape[1]
-    flat = free.reshape(-1)
-    size = np.array([width, free.shape[0] - 1, width - 1])
-    steps = np.int64(4 * (free.shape[0] + free.shape[1]))
-    hits = np.empty(free.shape[0] * 2 + free.shape[1] * 2, np.int64)
-    light, nothing = np.empty(4, free.dtype), np.zeros(3, free.dtype)
-    x, y = np.empty(LANES, free.dtype), np.empty(LANES, free.dtype)
-    t, limit = np.empty(LANES, free.dtype), np.empty(LANES, free.dtype)
-    ways = np.empty((6, LANES), free.dtype)
-    edges, value_at = np.empty(LANES, free.dtype), np.empty(LANES, free.dtype)
-    place, weights = np.empty(LANES, np.int32), np.empty(LANES, free.dtype)
-    own, seen = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
-    ray, column_of = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
-    rays, last = directions.shape[0], above == 0
+    cells = grid.cells
+    real = grid.free_distance.dtype.type
+    directions, spacing, start = cascade.directions, cascade.spacing, cascade.start
+    flat = flat_grid(grid.free_distance)
+    steps = np.int64(4 * (grid.free_distance.shape[0] + grid.free_distance.shape[1]))
+    stepping = Stepping(real(0), overshoot)
+    hits = np.empty(most_hits(grid.free_distance), np.int64)
+    light, no_sky = np.empty(4, real), np.zeros(3, real)
+    lanes, scratch = new_lanes(real), new_scratch(real)
+    x, y, t, heading = lanes
+    limit = np.empty(LANES, real)
+    weights, own_cell = np.empty(LANES, real), np.empty(LANES, np.int64)
+    upper_probe = np.empty(LANES, np.int64)
+    ray_of, column_of = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
+    rays, last = directions.shape[0], upper.spacing == 0
     corners = 1 if last else 4
     half, one = real(0.5), real(1)
-    part = one / real(branch)
+    part = one / real(upper.branching)
     for i in range(out.shape[0]):
         out[i] = 0
-        from_y = (real(begin + i) + half) * spacing + one
-        first_row, low = 0, real(0)
+        from_y = (real(first_row + i) + half) * spacing + one
+        upper_row, low = 0, real(0)
         if not last:
-            low = (from_y - one) / above - half
-            first_row = int(np.floor(low))
-            low -= real(first_row)
+            low = (from_y - one) / upper.spacing - half
+            upper_row = int(np.floor(low))
+            low -= real(upper_row)
         count = out.shape[1] * rays * corners
         j, r, corner = 0, 0, 0
         for group in range(0, count, LANES):
@@ -92,24 +84,24 @@ def _cascade(free, cells, directions, upper, numbers, whole, out):
                 dx, dy = directions[r, 0], directions[r, 1]
                 # To where the ray of the upper probe starts, not to where this one's ends, so that
                 # no light is lost or counted twice between the two.
-                way_x, way_y = dx * (end - start), dy * (end - start)
-                weights[p], seen[p] = one, 0
+                way_x, way_y = dx * (cascade.end - start), dy * (cascade.end - start)
+                weights[p], upper_probe[p] = one, 0
                 if not last:
-                    side = (from_x - one) / above - half
-                    first_column = int(np.floor(side))
-                    side -= real(first_column)
+                    side = (from_x - one) / upper.spacing - half
+                    upper_column = int(np.floor(side))
+                    side -= real(upper_column)
                     lower, over = corner // 2, corner % 2
-                    row = min(max(first_row + lower, 0), up_rows - 1)
-                    column = min(max(first_column + over, 0), up_columns - 1)
+                    row = min(max(upper_row + lower, 0), upper.rows - 1)
+                    column = min(max(upper_column + over, 0), upper.columns - 1)
                     weights[p] = (low if lower else one - low) * (side if over else one - side)
-                    seen[p] = row * up_columns + column
-                    way_x += (real(column) + half) * above + one - from_x
-                    way_y += (real(row) + half) * above + one - from_y
+                    upper_probe[p] = row * upper.columns + column
+                    way_x += (real(column) + half) * upper.spacing + one - from_x
+                    way_y += (real(row) + half) * upper.spacing + one - from_y
                 x[p], y[p] = from_x + dx * start, from_y + dy * start
-                ways[0, p], ways[1, p] = way_x, way_y
-                own[p] = np.int64(y[p]) * width + np.int64(x[p]) if start == 0 else -1
-                ray[p], column_of[p], t[p] = r, j, real(0)
-                # The next one; after the last, the last again, which no one reads.
+                heading[0, p], heading[1, p] = way_x, way_y
+                own_cell[p] = np.int64(y[p]) * flat.columns + np.int64(x[p]) if start == 0 else -1
+                ray_of[p], column_of[p], t[p] = r, j, real(0)
+                # The next ray; after the last, the last again, whose lanes are not used.
                 if group + p + 1 < count:
                     corner += 1
                     if corner == corners:
@@ -117,53 +109,47 @@ def _cascade(free, cells, directions, upper, numbers, whole, out):
                         if r == rays:
                             r, j = 0, j + 1
             for p in range(LANES):
-                way_x, way_y = ways[0, p], ways[1, p]
-                far = np.sqrt(way_x * way_x + way_y * way_y)
-                limit[p] = far
-                far = far if far > little else little
-                dx, dy = way_x / far, way_y / far
-                ways[0, p], ways[1, p] = dx, dy
-                ways[2, p] = one / dx if abs(dx) > 1e-9 else real(1e9)
-                ways[3, p] = one / dy if abs(dy) > 1e-9 else real(1e9)
-                ways[4, p] = one if dx > -1e-9 else real(0)
-                ways[5, p] = one if dy > -1e-9 else real(0)
-            _reach(flat, size, x, y, t, limit, ways, steps, little, place, edges, value_at)
+                way_x, way_y = heading[0, p], heading[1, p]
+                length = np.sqrt(way_x * way_x + way_y * way_y)
+                limit[p] = length
+                length = length if length > overshoot else overshoot
+                set_heading(heading, p, way_x / length, way_y / length)
+            leap_to_limit(flat, lanes, limit, steps, overshoot, scratch)
             for p in range(within):
-                to = out[i, column_of[p], 4 * ray[p] : 4 * ray[p] + 4]
-                weight, cell = weights[p], np.int64(place[p])
+                to = out[i, column_of[p], 4 * ray_of[p] : 4 * ray_of[p] + 4]
+                weight, cell = weights[p], np.int64(scratch.cell[p])
                 passing = weight
-                if t[p] < limit[p] and value_at[p] == FILLED:
-                    if cells[cell, 3] >= 1 and cell != own[p]:
+                if t[p] < limit[p] and scratch.value[p] == FILLED:
+                    if cells[cell, 3] >= 1 and cell != own_cell[p]:
                         for c in range(3):
                             to[c] += weight * cells[cell, c]
                         continue
-                    found, _ = walk(
-                        free, cells, x[p], y[p], ways[0, p], ways[1, p], t[p], own[p], limit[p],
-                        real(0), little, steps, 1, hits,
-                    )  # fmt: skip
-                    blend(cells, hits, found, SPENT, nothing, light)
+                    ray = Ray(x[p], y[p], heading[0, p], heading[1, p])
+                    limits = Limits(t[p], limit[p], steps, 1)
+                    hit_count, _ = walk(grid, ray, own_cell[p], stepping, limits, hits)
+                    blend(cells, hits[:hit_count], STOPPED, no_sky, light)
                     for c in range(3):
                         to[c] += weight * light[c]
                     passing = weight * light[3]
                 if last:
                     to[3] += passing
                 elif passing > 0:
-                    far_light = upper[seen[p]]
+                    upper_light = upper.light[upper_probe[p]]
                     passing *= part
-                    first = 4 * branch * ray[p]
-                    for n in range(branch):
+                    first = 4 * upper.branching * ray_of[p]
+                    for n in range(upper.branching):
                         for c in range(4):
-                            to[c] += passing * far_light[first + 4 * n + c]
+                            to[c] += passing * upper_light[first + 4 * n + c]
 
 
 @fast_jit
 def _merge(frame, real):
     if not answers_version_query(frame):
-        _cascade(
-            matrix(frame, 0, real), matrix(frame, 1, real), matrix(frame, 2, real),
-            matrix(frame, 3, real), vector(frame, 4, real), vector(frame, 5, np.int32),
-            result(frame, real),
-        )  # fmt: skip
+        lengths, counts = vector(frame, 4, real), vector(frame, 5, np.int32)
+        cascade = Cascade(matrix(frame, 2, real), lengths[0], lengths[1], lengths[2])
+        upper = UpperCascade(matrix(frame, 3, real), counts[1], counts[2], lengths[3], counts[3])
+        grid, out = read_grid(frame, real), result(frame, real)
+        _merge_rows(grid, cascade, upper, lengths[4], counts[0], out)
     return 0
 
 
@@ -179,3 +165,4 @@ FUNCTIONS = {
     ("merge", False): _merge_single,
     ("merge", True): _merge_double,
 }
+"""By name, and whether in double precision."""

@@ -2,17 +2,18 @@
 
 Sannikov, "Radiance Cascades: A Novel Approach to Calculating Global Illumination" (2023, draft):
 light from near needs many probes and few directions, light from far few probes and many directions.
-Cascade n has probes 2^n spacing apart, each with 4^n rays directions, which see the interval of
+Cascade n has probes 2^n ``spacing`` apart, each with 4^n ``rays`` directions, whose rays cover the
 distances from (4^n - 1) / 3 to (4^(n+1) - 1) / 3 times ``interval``; so every cascade but the last
-costs the same, whatever the number of directions. From the far end on, every ray is continued by
+costs the same, whatever the number of directions. From its far end on, every ray is continued by
 the four directions of the next cascade that it becomes, in the four probes about it.
 
-Continued by an interpolation of those probes' rays, which start elsewhere, light leaks past edges
-and rings about lamps. Here, in the bilinear fix (same author and others, 2024), a ray is traced
-four times, to where the ray of each of the four begins, and the four whole ways are interpolated.
+The next cascade's rays start elsewhere than where this one's end. Where its probes are interpolated
+first and the ray is continued by the result, light leaks past edges and rings about lamps. Here is
+the bilinear fix (same author and others, 2024): a ray is traced four times, to where the ray of
+each of the four probes begins, and the four whole ways are interpolated.
 
-What remains of error: within a cascade's interval only so many directions are told apart, and a
-probe's light is interpolated between probes. No derivative: what is asked for one is refused.
+Two errors remain: a cascade's interval resolves only so many directions, and a probe's light is
+interpolated between probes. There is no derivative; ``godfit.flatland.render`` refuses it.
 """
 
 from __future__ import annotations
@@ -23,71 +24,87 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from godfit.flatland.canvas import Canvas
-from godfit.flatland.rays import LITTLE, angles, call, cells_of, free_distance, shares
+from godfit.flatland.rays import (
+    BORDER_OVERSHOOT,
+    ROW_BLOCKS,
+    compiled_call,
+    directions,
+    free_distance,
+    padded_cells,
+    row_blocks,
+)
 from godfit.flatland.sky import Sky
 
-CALLS = 16
-BRANCH = 4
-# Pixels, of the first cascade: probes apart, length of its rays.
-SPACING, INTERVAL = 1.0, 1.5
+BRANCHING = 4
+"""Directions that one becomes in the next cascade: with probes twice as far apart both ways there
+is a quarter of them, so every cascade has as many rays."""
+
+PROBE_SPACING = 1.0
+"""Pixels between probes of the first cascade: one a pixel, so the result is not interpolated."""
+
+FIRST_INTERVAL = 1.5
+"""Pixels, the length of the first cascade's rays: about the spacing of its probes, as the paper's
+penumbra condition has it."""
 
 
 def cascades(
     canvas: Canvas,
     sky: Sky,
     rays: int = 4,
-    spacing: float = SPACING,
-    interval: float = INTERVAL,
+    spacing: float = PROBE_SPACING,
+    interval: float = FIRST_INTERVAL,
 ) -> Float[Array, "h w 3"]:
-    """The mean radiance that reaches every pixel; ``rays`` are the directions of the first
-    cascade."""
+    """The mean radiance that reaches every pixel.
+
+    ``rays`` are the directions of the first cascade, ``spacing`` is that of its probes and
+    ``interval`` the length of its rays, in pixels.
+    """
     h, w = canvas.size
     dtype = canvas.opacity.dtype
-    free, cells = free_distance(canvas), cells_of(canvas)
+    free, cells = free_distance(canvas), padded_cells(canvas)
     diagonal = math.hypot(h, w)
     ends = [0.0]
     while ends[-1] < diagonal:
-        ends.append(interval * (BRANCH ** len(ends) - 1) / (BRANCH - 1))
-    count = len(ends) - 1
+        ends.append(interval * (BRANCHING ** len(ends) - 1) / (BRANCHING - 1))
+    levels = len(ends) - 1
 
     def probes(level: int) -> tuple[int, int]:
         apart = spacing * 2**level
         return max(1, math.ceil(h / apart)), max(1, math.ceil(w / apart))
 
     merged = jnp.zeros((1, 4), dtype)
-    for level in reversed(range(count)):
-        directions = rays * BRANCH**level
-        at = angles(directions, 1, dtype)
+    for level in reversed(range(levels)):
+        count = rays * BRANCHING**level
         rows, columns = probes(level)
-        last = level == count - 1
-        up_rows, up_columns = (1, 1) if last else probes(level + 1)
-        numbers = [
+        last = level == levels - 1
+        upper_rows, upper_columns = (1, 1) if last else probes(level + 1)
+        lengths = [
             spacing * 2**level, ends[level], ends[level + 1],
-            0.0 if last else spacing * 2 ** (level + 1), LITTLE[dtype],
+            0.0 if last else spacing * 2 ** (level + 1), BORDER_OVERSHOOT[dtype],
         ]  # fmt: skip
-        parts = [
-            call(
-                "merge", (size, columns, 4 * directions), dtype, free, cells,
-                jnp.stack([jnp.cos(at), -jnp.sin(at)], -1), merged, jnp.asarray(numbers, dtype),
-                jnp.asarray([begin, up_rows, up_columns, BRANCH], jnp.int32),
+        blocks = [
+            compiled_call(
+                "merge", (size, columns, 4 * count), dtype, free, cells,
+                directions(count, 1, dtype), merged, jnp.asarray(lengths, dtype),
+                jnp.asarray([first, upper_rows, upper_columns, BRANCHING], jnp.int32),
             )
-            for begin, size in shares(rows, CALLS)
+            for first, size in row_blocks(rows, ROW_BLOCKS)
         ]  # fmt: skip
-        merged = jnp.concatenate(parts, 0)
+        merged = jnp.concatenate(blocks, 0)
         if last:
-            # What passes the last cascade is the sky's.
-            light = merged.reshape(rows, columns, directions, 4)
-            beyond = sky.over(directions).astype(dtype)[None, None]
-            light = light.at[..., :3].add(light[..., 3:] * beyond)
-            merged = light
-        merged = merged.reshape(rows * columns, 4 * directions)
+            # Light that passes the last cascade is the sky's.
+            light = merged.reshape(rows, columns, count, 4)
+            beyond = sky.over(count).astype(dtype)[None, None]
+            merged = light.at[..., :3].add(light[..., 3:] * beyond)
+        merged = merged.reshape(rows * columns, 4 * count)
     rows, columns = probes(0)
     mean = merged.reshape(rows, columns, rays, 4)[..., :3].mean(2)
-    return _between(mean, (h, w), spacing)
+    return _at_pixels(mean, (h, w), spacing)
 
 
-def _between(probes, size, spacing):
-    """Read between probes, bilinearly, at the pixels' middles."""
+def _at_pixels(probes, size, spacing):
+    """The light (rows, columns, 3) of ``probes``, interpolated bilinearly at the pixels' middles:
+    (h, w, 3)."""
     if spacing == 1:
         return probes
     h, w = size

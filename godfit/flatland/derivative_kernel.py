@@ -1,120 +1,122 @@
-"""The derivative of what the rays see, and its transpose, compiled by numba.
-
-Arrays are those of ``godfit.flatland.render_kernel``.
-"""
+"""The derivative of the radiance that the rays gather, and its transpose, compiled by numba."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from godfit.flatland.walk_kernel import LEFT, first_step, walk
-from godfit.runtime.numba_jit import fast_jit
+from godfit.flatland.kernel_records import Limits, Ray, read_trace_arguments
+from godfit.flatland.walk_kernel import ESCAPED, first_step, most_hits, walk
+from godfit.runtime.numba_jit import fast_jit, inlined_jit
 from godfit.runtime.xla_ffi import answers_version_query, matrix, result, vector
+
+OPAQUE_CELLS = 2
+"""A derivative's walk goes on to the second opaque cell: the opacity of the first has a derivative,
+which depends on what lies behind it."""
+
+
+@inlined_jit
+def _walk_all(inputs, plan, ray, own_cell, hits):
+    """``walk`` from a ray's own cell on, as far as a derivative depends on it."""
+    t, used = first_step(inputs.grid.free_distance, ray, plan.stepping)
+    unlimited = inputs.grid.free_distance.dtype.type(np.inf)
+    limits = Limits(t, unlimited, plan.max_steps - used, OPAQUE_CELLS)
+    return walk(inputs.grid, ray, own_cell, plan.stepping, limits, hits)
 
 
 @fast_jit
-def _moved(free, cells, directions, sky, turn, numbers, whole, d_cells, d_sky, out):
-    """``_picture``'s derivative along d_cells and d_sky."""
-    real = free.dtype.type
-    rays, kinds, steps, begin = whole[0], whole[1], whole[2], whole[3]
-    step, little = numbers[0], numbers[1]
-    width = free.shape[1]
-    hits = np.empty(free.shape[0] * 2 + free.shape[1] * 2, np.int64)
-    share, unlimited = real(1) / real(rays), real(np.inf)
+def _tangent_rows(inputs, plan, d_cells, d_sky, out):
+    """Rows of the picture's derivative along ``d_cells`` and ``d_sky``, which have the shapes of
+    the cells and the sky; ``out`` (rows, w, 3)."""
+    free_distance, cells = inputs.grid
+    _, directions, sky, jitter_bin = inputs
+    rays = plan.rays
+    real, width = free_distance.dtype.type, free_distance.shape[1]
+    hits = np.empty(most_hits(free_distance), np.int64)
+    share = real(1) / real(rays)
     for i in range(out.shape[0]):
-        y = real(begin + i) + real(1.5)
+        row = plan.first_row + i
+        y = real(row) + real(1.5)
         for j in range(out.shape[1]):
             x = real(j) + real(1.5)
             to = out[i, j]
             to[:] = 0
-            own = np.int64(y) * width + np.int64(x)
+            own_cell = np.int64(y) * width + np.int64(x)
             for r in range(rays):
-                k = r * kinds + turn[begin + i, j]
-                dx, dy = directions[k, 0], directions[k, 1]
-                t, used = first_step(free, x, y, dx, dy, step, little)
-                found, ended = walk(
-                    free, cells, x, y, dx, dy, t, own, unlimited, step, little, steps - used, 2,
-                    hits,
-                )  # fmt: skip
-                passing, d_passing = share, real(0)
-                for n in range(found):
+                k = r * plan.jitter_bins + jitter_bin[row, j]
+                ray = Ray(x, y, directions[k, 0], directions[k, 1])
+                hit_count, ended = _walk_all(inputs, plan, ray, own_cell, hits)
+                transmittance, d_transmittance = share, real(0)
+                for n in range(hit_count):
                     cell = hits[n]
                     for c in range(3):
-                        to[c] += d_passing * cells[cell, c] + passing * d_cells[cell, c]
+                        to[c] += d_transmittance * cells[cell, c] + transmittance * d_cells[cell, c]
                     open_ = 1 - cells[cell, 3]
-                    d_passing = d_passing * open_ - passing * d_cells[cell, 3]
-                    passing *= open_
-                if ended == LEFT:
+                    d_transmittance = d_transmittance * open_ - transmittance * d_cells[cell, 3]
+                    transmittance *= open_
+                if ended == ESCAPED:
                     for c in range(3):
-                        to[c] += d_passing * sky[k, c] + passing * d_sky[k, c]
+                        to[c] += d_transmittance * sky[k, c] + transmittance * d_sky[k, c]
 
 
 @fast_jit
-def _pulled(free, cells, directions, sky, turn, numbers, whole, pull, out):
-    """``_moved``'s transpose: ``pull`` (h, 3 w), out (1, cells + rays kinds, 4)."""
-    real = free.dtype.type
-    rays, kinds, steps, begin, end = whole[0], whole[1], whole[2], whole[3], whole[4]
-    step, little = numbers[0], numbers[1]
-    width, count = free.shape[1], cells.shape[0]
-    hits = np.empty(free.shape[0] * 2 + free.shape[1] * 2, np.int64)
-    share, unlimited = real(1) / real(rays), real(np.inf)
-    passings, behind = np.empty(len(hits) + 1, free.dtype), np.empty(3, free.dtype)
+def _transpose_rows(inputs, plan, end_row, cotangent, out):
+    """The transpose of ``_tangent_rows``, of the rows up to ``end_row``: ``cotangent`` (h, 3 w),
+    ``out`` (1, cells + R J, 4), for the cells and then, in its first three columns, for the sky."""
+    free_distance, cells = inputs.grid
+    _, directions, sky, jitter_bin = inputs
+    rays, cell_count = plan.rays, cells.shape[0]
+    real, width = free_distance.dtype.type, free_distance.shape[1]
+    hits = np.empty(most_hits(free_distance), np.int64)
+    share = real(1) / real(rays)
+    # Of every hit, the transmittance up to it; and the radiance that comes from behind it.
+    transmittance, behind = np.empty(len(hits) + 1, real), np.empty(3, real)
     to = out[0]
     to[:] = 0
-    for i in range(begin, end):
+    for i in range(plan.first_row, end_row):
         y = real(i) + real(1.5)
-        for j in range(turn.shape[1]):
+        for j in range(jitter_bin.shape[1]):
             x = real(j) + real(1.5)
-            own = np.int64(y) * width + np.int64(x)
-            g = pull[i, 3 * j : 3 * j + 3]
+            own_cell = np.int64(y) * width + np.int64(x)
+            g = cotangent[i, 3 * j : 3 * j + 3]
             if g[0] == 0 and g[1] == 0 and g[2] == 0:
                 continue
             for r in range(rays):
-                k = r * kinds + turn[i, j]
-                dx, dy = directions[k, 0], directions[k, 1]
-                t, used = first_step(free, x, y, dx, dy, step, little)
-                found, ended = walk(
-                    free, cells, x, y, dx, dy, t, own, unlimited, step, little, steps - used, 2,
-                    hits,
-                )  # fmt: skip
-                passings[0] = share
-                for n in range(found):
-                    passings[n + 1] = passings[n] * (1 - cells[hits[n], 3])
+                k = r * plan.jitter_bins + jitter_bin[i, j]
+                ray = Ray(x, y, directions[k, 0], directions[k, 1])
+                hit_count, ended = _walk_all(inputs, plan, ray, own_cell, hits)
+                transmittance[0] = share
+                for n in range(hit_count):
+                    transmittance[n + 1] = transmittance[n] * (1 - cells[hits[n], 3])
                 behind[:] = 0
-                if ended == LEFT:
+                if ended == ESCAPED:
                     for c in range(3):
                         behind[c] = sky[k, c]
-                        to[count + k, c] += g[c] * passings[found]
-                for n in range(found - 1, -1, -1):
+                        to[cell_count + k, c] += g[c] * transmittance[hit_count]
+                for n in range(hit_count - 1, -1, -1):
                     cell = hits[n]
                     lost = real(0)
                     for c in range(3):
-                        to[cell, c] += g[c] * passings[n]
+                        to[cell, c] += g[c] * transmittance[n]
                         lost += g[c] * behind[c]
                         behind[c] = cells[cell, c] + (1 - cells[cell, 3]) * behind[c]
-                    to[cell, 3] -= passings[n] * lost
+                    to[cell, 3] -= transmittance[n] * lost
 
 
 @fast_jit
 def _tangent(frame, real):
     if not answers_version_query(frame):
-        _moved(
-            matrix(frame, 0, real), matrix(frame, 1, real), matrix(frame, 2, real),
-            matrix(frame, 3, real), matrix(frame, 4, np.int32), vector(frame, 5, real),
-            vector(frame, 6, np.int32), matrix(frame, 7, real), matrix(frame, 8, real),
-            result(frame, real),
-        )  # fmt: skip
+        inputs, plan = read_trace_arguments(frame, real)
+        d_cells, d_sky = matrix(frame, 7, real), matrix(frame, 8, real)
+        _tangent_rows(inputs, plan, d_cells, d_sky, result(frame, real))
     return 0
 
 
 @fast_jit
 def _transpose(frame, real):
     if not answers_version_query(frame):
-        _pulled(
-            matrix(frame, 0, real), matrix(frame, 1, real), matrix(frame, 2, real),
-            matrix(frame, 3, real), matrix(frame, 4, np.int32), vector(frame, 5, real),
-            vector(frame, 6, np.int32), matrix(frame, 7, real), result(frame, real),
-        )  # fmt: skip
+        inputs, plan = read_trace_arguments(frame, real)
+        end_row = vector(frame, 6, np.int32)[4]
+        _transpose_rows(inputs, plan, end_row, matrix(frame, 7, real), result(frame, real))
     return 0
 
 
@@ -140,3 +142,4 @@ FUNCTIONS = {
     ("transpose", False): _transpose_single,
     ("transpose", True): _transpose_double,
 }
+"""By name, and whether in double precision."""

@@ -1,11 +1,11 @@
-"""Shapes that a canvas is drawn from, differentiable in where they are, and their TOML file.
+"""Shapes that a canvas is drawn from, differentiable in their positions, and their TOML file.
 
-Places and lengths are in picture heights, x to the right and y up, (0, 0) the bottom-left corner;
-an edge is ``softness`` pixels wide. The distance to every shape is exact (after Quilez, "2D
-distance functions"), also inside, so an edge is as wide wherever it is.
+Positions and lengths are in picture heights, x to the right and y up, (0, 0) the bottom-left
+corner; an edge is ``softness`` pixels wide. The distance to every shape is exact (after Quilez, "2D
+distance functions"), also inside, so an edge has the same width everywhere.
 
-Pixels stick out: a ray that grazes a disc meets pixels that are covered in part, one after another,
-and what it sees is a disc whose radius is 0.6 pixels larger (0.4 where pixels are all or nothing).
+Pixels stick out: a ray that grazes a disc meets pixels that are covered in part, one after another.
+To the light the disc's radius is 0.6 pixels larger (0.4 where pixels are all or nothing).
 """
 
 from __future__ import annotations
@@ -23,14 +23,16 @@ from godfit.flatland.canvas import Canvas
 from godfit.io.toml_table import Table
 from godfit.scenes.scene import MAX_SIZE
 
-# Of every kind: its numbers and how many there are of each.
-KINDS: dict[str, dict[str, int]] = {
+SHAPE_NUMBERS: dict[str, dict[str, int]] = {
     "disc": {"centre": 2, "radius": 1},
     "segment": {"start": 2, "end": 2, "thickness": 1},
     "box": {"centre": 2, "size": 2, "angle": 1},
     "polygon": {"points": 0},
 }
-SOFTNESS = 1.0
+"""The numbers of every kind of shape, by name, and how many of each; 0 for any number of points."""
+
+EDGE_SOFTNESS = 1.0
+"""Pixels, the default width of an edge: that of an antialiased one."""
 
 
 class Shape(eqx.Module):
@@ -49,7 +51,7 @@ class Shape(eqx.Module):
         self.radiance, self.opacity = jnp.asarray(radiance, float), jnp.asarray(opacity, float)
 
     def distance(self, x: Float[Array, "h w"], y: Float[Array, "h w"]) -> Float[Array, "h w"]:
-        """From (x, y) to the edge, negative inside."""
+        """The distance from (x, y) to the edge, in picture heights, negative inside."""
         n = self.numbers
         if self.kind == "disc":
             return _length(x - n["centre"][0], y - n["centre"][1]) - n["radius"]
@@ -65,7 +67,7 @@ class Shape(eqx.Module):
         return _to_polygon(x, y, n["points"])
 
     def shifted(self, by: Float[Array, "2"]) -> Shape:
-        """The shape elsewhere."""
+        """The shape, moved ``by`` (x, y) picture heights."""
         numbers = dict(self.numbers)
         for name in ("centre", "start", "end"):
             if name in numbers:
@@ -76,11 +78,12 @@ class Shape(eqx.Module):
 
 
 class Drawing(eqx.Module):
-    """Shapes, later ones over earlier ones, on a canvas of ``size`` (h, w) pixels."""
+    """Shapes, later ones over earlier ones, on a canvas of ``size`` (h, w) pixels, and the
+    ``settings`` of the render (name, value) that their file has."""
 
     shapes: tuple[Shape, ...]
     size: tuple[int, int] = eqx.field(static=True)
-    softness: float = eqx.field(static=True, default=SOFTNESS)
+    softness: float = eqx.field(static=True, default=EDGE_SOFTNESS)
     settings: tuple[tuple[str, Any], ...] = eqx.field(static=True, default=())
 
     def drawn(self) -> Canvas:
@@ -90,24 +93,26 @@ class Drawing(eqx.Module):
         x = jnp.broadcast_to((jnp.arange(w) + 0.5)[None] / h, (h, w))
         radiance, opacity = jnp.zeros((h, w, 3)), jnp.zeros((h, w))
         for shape in self.shapes:
-            # From one at half the softness inside to none at half outside, and smooth at both ends.
+            # Coverage falls from 1 half the softness inside to 0 half of it outside, smooth at both
+            # ends.
             t = jnp.clip(0.5 - shape.distance(x, y) * h / self.softness, 0, 1)
-            cover = t * t * (3 - 2 * t)
-            hidden = cover * shape.opacity
-            own = jnp.expand_dims(shape.radiance, (0, 1))
-            radiance = cover[..., None] * own + (1 - hidden)[..., None] * radiance
-            opacity = hidden + (1 - hidden) * opacity
+            coverage = t * t * (3 - 2 * t)
+            alpha = coverage * shape.opacity
+            emission = jnp.expand_dims(shape.radiance, (0, 1))
+            radiance = coverage[..., None] * emission + (1 - alpha)[..., None] * radiance
+            opacity = alpha + (1 - alpha) * opacity
         return Canvas(radiance, opacity)
 
 
 def _length(a, b):
-    """hypot, with a derivative of zero where it has none."""
+    """hypot, whose derivative at 0 is 0."""
     square = a * a + b * b
     safe = jnp.where(square > 0, square, 1)
     return jnp.where(square > 0, jnp.sqrt(safe), 0)
 
 
 def _to_segment(x, y, start, end):
+    """The distance from (x, y) to the line between two points."""
     dx, dy = end[0] - start[0], end[1] - start[1]
     square = dx * dx + dy * dy
     along = ((x - start[0]) * dx + (y - start[1]) * dy) / jnp.where(square > 0, square, 1)
@@ -116,19 +121,20 @@ def _to_segment(x, y, start, end):
 
 
 def _to_polygon(x, y, points):
-    near, inside = jnp.full(x.shape, jnp.inf), jnp.zeros(x.shape, bool)
+    """The distance from (x, y) to a polygon's outline, negative inside (even-odd rule)."""
+    nearest, inside = jnp.full(x.shape, jnp.inf), jnp.zeros(x.shape, bool)
     for i in range(points.shape[0]):
         a, b = points[i - 1], points[i]
-        near = jnp.minimum(near, _to_segment(x, y, a, b))
+        nearest = jnp.minimum(nearest, _to_segment(x, y, a, b))
         spans = (a[1] > y) != (b[1] > y)
         rise = jnp.where(a[1] == b[1], 1, b[1] - a[1])
         inside ^= spans & (x < a[0] + (y - a[1]) * (b[0] - a[0]) / rise)
-    return jnp.where(inside, -near, near)
+    return jnp.where(inside, -nearest, nearest)
 
 
 def read_drawing(path: str | os.PathLike[str]) -> Drawing:
-    """Read a scene of shapes; raises InputError naming the file, the key, what was expected and
-    got.
+    """Read a scene of shapes. Raises InputError, which names the file, the key, what was expected
+    and what was got.
 
     ``[image]`` has width and height and may have softness; ``[[shape]]`` a kind, its numbers,
     radiance (three numbers of 0 or more, or "#rrggbb") and opacity; ``[sky]`` may have sun_angle,
@@ -140,7 +146,7 @@ def read_drawing(path: str | os.PathLike[str]) -> Drawing:
     shapes = [_shape(Table(path, f"shape[{i}]", t)) for i, t in enumerate(root.tables("shape"))]
     root.finish()
     size = image.whole("height", 1, MAX_SIZE), image.whole("width", 1, MAX_SIZE)
-    softness = image.number("softness", SOFTNESS, above=0.0)
+    softness = image.number("softness", EDGE_SOFTNESS, above=0.0)
     settings = [(k, sky.number(k)) for k in ("sun_angle", "sun_width") if k in sky.data]
     settings += [(k, tuple(_radiance(sky, k))) for k in ("sun", "sky") if k in sky.data]
     sky.may_have("sun_angle", "sun_width", "sun", "sky")
@@ -151,11 +157,11 @@ def read_drawing(path: str | os.PathLike[str]) -> Drawing:
 
 def _shape(table: Table) -> Shape:
     kind = table.text("kind")
-    if kind not in KINDS:
+    if kind not in SHAPE_NUMBERS:
         got = "nothing; add it" if kind is None else repr(kind)
-        raise table.error("kind", f"one of {', '.join(KINDS)}", got)
+        raise table.error("kind", f"one of {', '.join(SHAPE_NUMBERS)}", got)
     numbers: dict[str, Any] = {}
-    for name, count in KINDS[kind].items():
+    for name, count in SHAPE_NUMBERS[kind].items():
         if count == 1:
             default = 0.0 if name == "angle" else None
             numbers[name] = table.number(name, default, -np.inf if name == "angle" else 0.0)
@@ -172,6 +178,7 @@ def _shape(table: Table) -> Shape:
 
 
 def _radiance(table: Table, key: str) -> list[float]:
+    """Three numbers of 0 or more, or "#rrggbb"; black if the key is missing."""
     value = table.get(key, "#000000", "a colour")
     if isinstance(value, str):
         return list(table.colour(key, "#000000"))

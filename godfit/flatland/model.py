@@ -1,8 +1,8 @@
 """The light in the plane as a model that ``godfit.fit`` can fit: the sky about a known canvas.
 
-What reaches a pixel is linear in the sky, so rays go once: the "mask" of this model is
-``basis(canvas, rays)``, and a picture for any sky is a product with it. Blurring or averaging it is
-the same as blurring or averaging the picture.
+The radiance that reaches a pixel is linear in the sky, so the rays are traced once: the "mask" of
+this model is ``basis(canvas, rays)``, and the picture for any sky is a product with it. Blurring or
+averaging the basis is the same as blurring or averaging the picture.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from godfit.flatland.canvas import Canvas
-from godfit.flatland.rays import enough, passing
+from godfit.flatland.rays import TraceSettings, radiance_and_transmittance, steps_to_cross
 from godfit.flatland.sky import Sky
 from godfit.models.base import AbstractModel, Vector
 from godfit.scattering.parameters import Parameter
 
-PARAMETERS = (
+PLANE_PARAMETERS = (
     Parameter("exposure", "E", "1", 0.0, math.inf, "scale of the whole picture"),
     Parameter(
         "sun_angle", "phi", "degrees", -math.inf, math.inf, "counterclockwise from the right"
@@ -37,18 +37,20 @@ PARAMETERS = (
         for c, colour in zip("rgb", ("red", "green", "blue"), strict=True)
     ),
 )
-# Rays of a pixel where nothing is said.
-RAYS = 64
+"""The parameters, in the order of the fit's coordinates."""
+
+FIT_RAYS = 64
+"""Rays of a pixel by default: a fit traces them once, so it can do with twice those of a render."""
 
 
 def basis(canvas: Canvas, rays: int) -> Float[np.ndarray, "h w channels"]:
-    """(h, w, 3 + rays), float32, what a pixel shows of the canvas itself, and how much of the sky
-    every ray shows it.
+    """(h, w, 3 + rays), float32: the radiance that a pixel has from the canvas itself, and each
+    ray's share of the sky in it.
 
-    The rays go in float64: one that meets a corner and passes it on the wrong side is off by a
-    whole ray's share, which a fit to bytes would see.
+    The rays are traced in float64: one that passes a corner on the wrong side is off by a whole
+    ray's share, which is enough to disturb a fit to bytes.
     """
-    # What the rays are compiled for, wherever else JAX runs.
+    # The rays are compiled for the CPU, wherever else JAX runs.
     with jax.enable_x64(True), jax.default_device(jax.local_devices(backend="cpu")[0]):
         exact = Canvas(*(jnp.asarray(np.asarray(z), jnp.float64) for z in jax.tree.leaves(canvas)))
         return np.asarray(_basis(exact, rays))
@@ -57,8 +59,9 @@ def basis(canvas: Canvas, rays: int) -> Float[np.ndarray, "h w channels"]:
 @functools.partial(jax.jit, static_argnums=1)
 def _basis(canvas: Canvas, rays: int):
     h, w = canvas.size
-    open_ = (1 - canvas.opacity)[..., None]
-    parts = open_ * passing(canvas, rays, enough(h, w))
+    transmittance = (1 - canvas.opacity)[..., None]
+    settings = TraceSettings(rays, steps_to_cross(h, w))
+    parts = transmittance * radiance_and_transmittance(canvas, settings)
     return parts.at[..., :3].add(canvas.radiance).astype(jnp.float32)
 
 
@@ -77,16 +80,16 @@ class Flatland(AbstractModel):
 
     exposure: Float[Array, ""]
     sky: Sky
-    samples: int = eqx.field(static=True, default=RAYS)
+    samples: int = eqx.field(static=True, default=FIT_RAYS)
 
-    def __init__(self, exposure: Any = 1.0, sky: Sky | None = None, samples: int = RAYS):
+    def __init__(self, exposure: Any = 1.0, sky: Sky | None = None, samples: int = FIT_RAYS):
         self.exposure = jnp.asarray(exposure, float)
         self.sky = Sky() if sky is None else sky
         self.samples = samples
 
     @property
     def light(self) -> Float[Array, "0 2"]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """No light has a place in the picture."""
+        """(0, 2): no light has a position in the picture."""
         return jnp.zeros((0, 2), self.exposure.dtype)
 
     @property
@@ -95,7 +98,7 @@ class Flatland(AbstractModel):
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        return {p.name: p for p in PARAMETERS}
+        return {p.name: p for p in PLANE_PARAMETERS}
 
     @property
     def defaults(self) -> dict[str, float]:
@@ -103,34 +106,35 @@ class Flatland(AbstractModel):
 
     def values(self) -> dict[str, Float[Array, ""]]:
         sky = self.sky
-        # An angle has gone round where the search went there the other way.
+        # The search may go round the circle either way.
         angle = jnp.mod(sky.angle, 360.0)
         numbers = (self.exposure, angle, sky.width, *sky.sun, *sky.sky)
         return dict(zip(self.parameters, numbers, strict=True))
 
     def coordinates(self) -> Float[Array, " p"]:
         sky = self.sky
-        alone = jnp.stack([self.exposure, sky.angle, sky.width])
-        return jnp.concatenate([alone, self.exposure * sky.sun, self.exposure * sky.sky])
+        geometry = jnp.stack([self.exposure, sky.angle, sky.width])
+        return jnp.concatenate([geometry, self.exposure * sky.sun, self.exposure * sky.sky])
 
     def moved(self, coordinates: Vector, held: Vector | None = None) -> Flatland:
         if held is None:
             held = jnp.full_like(coordinates, jnp.nan)
-        alone = jnp.where(jnp.isnan(held[:3]), coordinates[:3], held[:3])
+        geometry = jnp.where(jnp.isnan(held[:3]), coordinates[:3], held[:3])
+        exposure, angle, width = geometry[0], geometry[1], geometry[2]
         # Without exposure there is no light, whatever the colours: the guard keeps 0/0 out.
-        shown = jnp.where(alone[0] == 0, 1.0, alone[0])
-        colours = jnp.where(jnp.isnan(held[3:]), coordinates[3:] / shown, held[3:])
-        sky = Sky(alone[1], alone[2], colours[:3], colours[3:])
-        return Flatland(alone[0], sky, self.samples)
+        divisor = jnp.where(exposure == 0, 1.0, exposure)
+        colours = jnp.where(jnp.isnan(held[3:]), coordinates[3:] / divisor, held[3:])
+        sky = Sky(angle, width, colours[:3], colours[3:])
+        return Flatland(exposure, sky, self.samples)
 
     def bounds(self) -> tuple[list[float], list[float]]:
-        return [p.lower for p in PARAMETERS], [p.upper for p in PARAMETERS]
+        return [p.lower for p in PLANE_PARAMETERS], [p.upper for p in PLANE_PARAMETERS]
 
     def linear(self) -> np.ndarray:
-        return ~np.isin(np.arange(len(PARAMETERS)), (1, 2))
+        return ~np.isin(np.arange(len(PLANE_PARAMETERS)), (1, 2))
 
     def scales(self, coordinates: np.ndarray) -> np.ndarray:
-        # Degrees: an angle's size says nothing of its useful steps.
+        # Degrees: useful steps of an angle do not depend on the angle.
         size = np.abs(coordinates) * np.float32(0.1) + np.float32(1e-2)
         size[1], size[2] = 5.0, max(0.1 * abs(coordinates[2]), 1.0)
         return size.astype(np.float32)

@@ -1,16 +1,18 @@
-"""What the rays of every pixel see: the march and the distance march, with their derivatives.
+"""The radiance that the rays of every pixel gather: the march and the distance march, with their
+derivatives.
 
 Ray i of R leaves the pixel's middle at angle 2 pi (i + 1/2) / R, or, with jitter, anywhere in that
-R-th of the circle, and gathers radiance from the pixels that it crosses until one lets nothing
-through or the canvas ends and the sky is seen. A pixel counts once, its own does not. The step is
+R-th of the circle. It gathers radiance from the pixels that it crosses until one lets nothing
+through, or until the canvas ends and the sky begins. A pixel counts once, its own does not. The
+step is
 
 - ``march``: always the same; what is crossed in less than a step may be leapt over;
 - ``distance``: sphere tracing (Hart, "Sphere Tracing", The Visual Computer 12 (1996)) through the
-  jump-flood field, and near surfaces to the next pixel's border, so that nothing is leapt over:
-  what is left of error is the number of rays, and pixels whose jump-flood distance is too long.
+  jump-flood field, and near surfaces to the next pixel's border, so that nothing is leapt over. Two
+  errors remain: that of the number of rays, and pixels whose jump-flood distance is too long.
 
 Derivatives by radiance, opacity and sky are those of this sum, exact for the rays that there are,
-at empty pixels too. Where rays go does not depend on the canvas's values, and opacity enters as a
+at empty pixels too. The rays' paths do not depend on the canvas's values, and opacity enters as a
 product, so shapes whose edges are soft on the canvas have true derivatives by their position.
 """
 
@@ -27,39 +29,51 @@ from jaxtyping import Array, Bool, Float, Int32
 from godfit.flatland import cascade_kernel, derivative_kernel, render_kernel
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.jump_flood import jump_flood
+from godfit.flatland.kernel_records import Grid, TraceInputs
 from godfit.flatland.walk_kernel import FILLED, OUTSIDE
 from godfit.runtime.xla_ffi import declare, register
 
-NAMES = declare(
+XLA_NAMES = declare(
     "godfit_flatland",
     render_kernel.FUNCTIONS | derivative_kernel.FUNCTIONS | cascade_kernel.FUNCTIONS,
 )
-# Calls for one picture, which XLA shares out among its threads.
-CALLS = 16
-# A transpose has a result of the canvas's size for every call.
-TRANSPOSED_CALLS = 4
-# Pixels; a ray is taken this far over a border, well above what rounding leaves of a place.
-LITTLE = {jnp.dtype("float32"): 1e-3, jnp.dtype("float64"): 1e-9}
+"""Names of the compiled functions in XLA, by (function, whether in double precision)."""
+
+ROW_BLOCKS = 16
+"""Calls of a compiled function for one picture, which XLA shares out among its threads: more than
+there are cores, so that no thread waits long for the last."""
+
+TRANSPOSE_BLOCKS = 4
+"""The same for the transpose: fewer, as each call has a result of the whole canvas's size."""
+
+BORDER_OVERSHOOT = {jnp.dtype("float32"): 1e-3, jnp.dtype("float64"): 1e-9}
+"""Pixels; the distance march takes a ray this far over a cell's border, well above the rounding
+error of a position."""
 
 
-class Prepared(NamedTuple):
-    """See ``godfit.flatland.walk_kernel`` and ``render_kernel``."""
+class TraceSettings(NamedTuple):
+    """``rays`` a pixel, ``max_steps`` steps a ray, and the ``step_length`` in pixels, 0 for the
+    distance march."""
 
-    free: Float[Array, "H W"]
-    cells: Float[Array, "cells 4"]
-    directions: Float[Array, "kinds 2"]
-    sky: Float[Array, "kinds 3"]
-    turn: Int32[Array, "h w"]
+    rays: int
+    max_steps: int
+    step_length: float = 0.0
 
 
-def angles(rays: int, kinds: int, dtype) -> Float[Array, "kinds"]:
-    """Angles in radians, counterclockwise from the right, of ``kinds`` rays in each of ``rays``
-    equal parts of the circle."""
-    count = rays * kinds
+def angles(rays: int, jitter_bins: int, dtype) -> Float[Array, "directions"]:
+    """Angles in radians, counterclockwise from the right, of ``jitter_bins`` rays in each of
+    ``rays`` equal parts of the circle."""
+    count = rays * jitter_bins
     return (jnp.arange(count, dtype=dtype) + 0.5) * (2 * math.pi / count)
 
 
-def enough(h: int, w: int) -> int:
+def directions(rays: int, jitter_bins: int, dtype) -> Float[Array, "directions 2"]:
+    """Unit vectors of ``angles``, right and down."""
+    angle = angles(rays, jitter_bins, dtype)
+    return jnp.stack([jnp.cos(angle), -jnp.sin(angle)], -1)
+
+
+def steps_to_cross(h: int, w: int) -> int:
     """More steps than a ray that goes from border to border can take."""
     return h + w + 2
 
@@ -67,20 +81,21 @@ def enough(h: int, w: int) -> int:
 def free_distance(canvas: Canvas, march: bool = False) -> Float[Array, "H W"]:
     """(h + 2, w + 2) how far there is nothing from anywhere in a pixel; FILLED where there is
     something and OUTSIDE around. For a march, 0 where there is nothing."""
-    return _free((canvas.opacity > 0) | (canvas.radiance > 0).any(-1), march, canvas.opacity.dtype)
+    filled = (canvas.opacity > 0) | (canvas.radiance > 0).any(-1)
+    return _free_distance(filled, march, canvas.opacity.dtype)
 
 
-def _free(filled: Bool[Array, "h w"], march: bool, dtype) -> Float[Array, "H W"]:
+def _free_distance(filled: Bool[Array, "h w"], march: bool, dtype) -> Float[Array, "H W"]:
     h, w = filled.shape
     if march:
         free = jnp.zeros((h, w), dtype)
     else:
-        # From middle to middle; both pixels have half a diagonal.
+        # The flood's distance is from middle to middle; both pixels have half a diagonal.
         free = jnp.clip(jump_flood(filled).distance - math.sqrt(2), 0, 2.0 * (h + w)).astype(dtype)
     return jnp.pad(jnp.where(filled, FILLED, free), 1, constant_values=OUTSIDE)
 
 
-def cells_of(canvas: Canvas) -> Float[Array, "cells 4"]:
+def padded_cells(canvas: Canvas) -> Float[Array, "cells 4"]:
     """Radiance and opacity of the padded canvas, pixel by pixel."""
     both = jnp.concatenate([canvas.radiance, canvas.opacity[..., None]], -1)
     return jnp.pad(both, ((1, 1), (1, 1), (0, 0))).reshape(-1, 4)
@@ -88,147 +103,156 @@ def cells_of(canvas: Canvas) -> Float[Array, "cells 4"]:
 
 def gathered(
     canvas: Canvas,
-    sky: Float[Array, "kinds 3"],
-    rays: int,
-    steps: int,
-    step: float,
-    turn: Int32[Array, "h w"] | None,
+    sky: Float[Array, "directions 3"],
+    settings: TraceSettings,
+    jitter_bin: Int32[Array, "h w"] | None,
     plain: bool,
 ) -> Float[Array, "h w 3"]:
-    """The mean over every pixel's rays of what they see.
+    """The mean radiance over every pixel's rays.
 
-    ``sky`` has the radiance that every ray of every kind sees outside; ``step`` is in pixels, 0 for
-    the distance march; ``turn`` is each pixel's kind; ``plain`` asks for XLA's own loops in place
-    of the compiled ones, which are for CPUs.
+    ``sky`` has the radiance outside in every direction of every ray; ``jitter_bin`` is which of its
+    directions each of a pixel's rays takes, None if there is one; ``plain`` chooses XLA's own loops
+    in place of the compiled ones, which are for CPUs.
     """
-    prepared = prepare(canvas, sky, rays, step, turn)
+    inputs = trace_inputs(canvas, sky, settings, jitter_bin)
     if plain:
-        from godfit.flatland.reference import walk
+        from godfit.flatland.reference import reference_trace
 
-        h, w = canvas.size
-        # Leaps only where they are counted: in XLA's loops, of a fixed length, they gain nothing,
-        # and what is leapt over would have no derivative.
-        return walk(prepared, rays, steps, step, leap=steps < enough(h, w))
-    return _seen(prepared.cells, prepared.sky, prepared, (rays, steps, step))
+        # Leaps only where steps are counted: in XLA's loops, which have a fixed length, leaps gain
+        # nothing, and what is leapt over would have no derivative.
+        return reference_trace(inputs, settings, settings.max_steps < steps_to_cross(*canvas.size))
+    return _traced(inputs.grid.cells, inputs.sky, inputs, settings)
 
 
-def prepare(canvas: Canvas, sky, rays: int, step: float, turn) -> Prepared:
-    h, w = canvas.size
+def trace_inputs(
+    canvas: Canvas,
+    sky: Float[Array, "directions 3"],
+    settings: TraceSettings,
+    jitter_bin: Int32[Array, "h w"] | None,
+) -> TraceInputs:
+    """The arrays of ``gathered``'s arguments; the free distance has no derivative."""
     dtype = canvas.opacity.dtype
-    at = angles(rays, sky.shape[0] // rays, dtype)
-    return Prepared(
-        jax.lax.stop_gradient(free_distance(canvas, march=step > 0)),
-        cells_of(canvas),
-        # Rows go down.
-        jnp.stack([jnp.cos(at), -jnp.sin(at)], -1),
+    march = settings.step_length > 0
+    return TraceInputs(
+        Grid(jax.lax.stop_gradient(free_distance(canvas, march)), padded_cells(canvas)),
+        directions(settings.rays, sky.shape[0] // settings.rays, dtype),
         sky.astype(dtype),
-        jnp.zeros((h, w), jnp.int32) if turn is None else turn,
+        jnp.zeros(canvas.size, jnp.int32) if jitter_bin is None else jitter_bin,
     )
 
 
-def passing(
-    canvas: Canvas, rays: int, steps: int, step: float = 0.0
+def radiance_and_transmittance(
+    canvas: Canvas, settings: TraceSettings
 ) -> Float[Array, "h w channels"]:
-    """(h, w, 3 + rays) the mean of what the canvas itself sends to a pixel, and for every ray the
-    share of the sky's light that comes through, divided by the number of rays. No derivative."""
-    sky = jnp.zeros((rays, 3), canvas.opacity.dtype)
-    given = jax.lax.stop_gradient(prepare(canvas, sky, rays, step, None))
-    return look(given, (rays, steps, step), 3 + rays)
+    """(h, w, 3 + rays) the mean radiance that the canvas itself sends to a pixel, and every ray's
+    transmittance of the sky's light, divided by the number of rays. No derivative."""
+    sky = jnp.zeros((settings.rays, 3), canvas.opacity.dtype)
+    inputs = jax.lax.stop_gradient(trace_inputs(canvas, sky, settings, None))
+    return trace(inputs, settings, 3 + settings.rays)
 
 
-def shares(size: int, most: int) -> list[tuple[int, int]]:
-    """(begin, length) of at most ``most`` parts of ``size``."""
-    length = -(-size // most)
-    return [(begin, min(length, size - begin)) for begin in range(0, size, length)]
+def row_blocks(rows: int, most: int) -> list[tuple[int, int]]:
+    """(first row, number of rows) of at most ``most`` blocks."""
+    length = -(-rows // most)
+    return [(first, min(length, rows - first)) for first in range(0, rows, length)]
 
 
-def _numbers(given: Prepared, how) -> tuple[tuple, list[int]]:
-    rays, steps, step = how
-    kinds = given.directions.shape[0] // rays
-    dtype = given.free.dtype
-    numbers = jnp.asarray([step, LITTLE[dtype]], dtype)
-    return (*given, numbers), [rays, kinds, steps]
-
-
-def call(kind: str, shape: tuple[int, ...], dtype, *arguments):
-    """A compiled function's result."""
-    name = NAMES[kind, dtype == jnp.float64]
+def compiled_call(function: str, shape: tuple[int, ...], dtype, *arguments):
+    """The result, of this shape and dtype, of a compiled function."""
+    name = XLA_NAMES[function, dtype == jnp.float64]
     register(name)
-    made = jax.ffi.ffi_call(name, jax.ShapeDtypeStruct(shape, dtype), vmap_method="sequential")
-    return made(*arguments)
+    call = jax.ffi.ffi_call(name, jax.ShapeDtypeStruct(shape, dtype), vmap_method="sequential")
+    return call(*arguments)
 
 
-def look(
-    given: Prepared, how: tuple[int, int, float], channels: int
+def trace_arguments(
+    inputs: TraceInputs, settings: TraceSettings, *rows: int
+) -> tuple[Float[Array, "..."] | Int32[Array, "..."], ...]:
+    """The arguments of a compiled function, as ``kernel_records.read_trace_arguments`` takes them
+    apart. The counts, which come last, end in the ``rows`` that this call computes."""
+    dtype = inputs.grid.free_distance.dtype
+    jitter_bins = inputs.directions.shape[0] // settings.rays
+    counts = [settings.rays, jitter_bins, settings.max_steps, *rows]
+    lengths = [settings.step_length, BORDER_OVERSHOOT[dtype]]
+    arrays = (*inputs.grid, inputs.directions, inputs.sky, inputs.jitter_bin)
+    return *arrays, jnp.asarray(lengths, dtype), jnp.asarray(counts, jnp.int32)
+
+
+def trace(
+    inputs: TraceInputs, settings: TraceSettings, channels: int
 ) -> Float[Array, "h w channels"]:
-    """What the rays of every pixel see, compiled: 3 channels, or those of ``passing``. ``how`` is
-    rays, steps and the length of a step."""
-    (h, w), dtype = given.turn.shape, given.free.dtype
-    arguments, whole = _numbers(given, how)
-    parts = [
-        call(
-            "render", (size, w, channels), dtype, *arguments,
-            jnp.asarray([*whole, begin], jnp.int32),
+    """The mean over every pixel's rays, compiled: 3 channels, or those of
+    ``radiance_and_transmittance``."""
+    (h, w), dtype = inputs.jitter_bin.shape, inputs.grid.free_distance.dtype
+    blocks = [
+        compiled_call(
+            "render", (rows, w, channels), dtype, *trace_arguments(inputs, settings, first)
         )
-        for begin, size in shares(h, CALLS)
-    ]  # fmt: skip
-    return jnp.concatenate(parts, 0)
+        for first, rows in row_blocks(h, ROW_BLOCKS)
+    ]
+    return jnp.concatenate(blocks, 0)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(3,))
-def _seen(cells, sky, given: Prepared, how):
-    return look(given._replace(cells=cells, sky=sky), how, 3)
+def _traced(cells, sky, inputs: TraceInputs, settings):
+    return trace(_replaced(inputs, cells, sky), settings, 3)
 
 
-@functools.partial(_seen.defjvp, symbolic_zeros=True)
-def _seen_jvp(how, primals, tangents):
-    cells, sky, given = primals
-    given = given._replace(cells=cells, sky=sky)
-    out = _seen(cells, sky, given, how)
-    moved = jnp.zeros_like(out)
-    # One by one: what is transposed must be linear in all that it is given.
-    for which, tangent in enumerate(tangents[:2]):
+def _replaced(inputs: TraceInputs, cells, sky) -> TraceInputs:
+    return inputs._replace(grid=inputs.grid._replace(cells=cells), sky=sky)
+
+
+@functools.partial(_traced.defjvp, symbolic_zeros=True)
+def _traced_jvp(settings, primals, tangents):
+    cells, sky, inputs = primals
+    inputs = _replaced(inputs, cells, sky)
+    out = _traced(cells, sky, inputs, settings)
+    d_out = jnp.zeros_like(out)
+    # One by one: what is transposed must be linear in all of its arguments.
+    for by_sky, tangent in enumerate(tangents[:2]):
         if not isinstance(tangent, jax.custom_derivatives.SymbolicZero):
-            forward = functools.partial(_forward, how, which)
-            backward = functools.partial(_backward, how, which)
-            moved += jax.custom_derivatives.linear_call(forward, backward, given, tangent)
-    return out, moved
+            forward = functools.partial(_forward, settings, by_sky == 1)
+            backward = functools.partial(_backward, settings, by_sky == 1)
+            d_out += jax.custom_derivatives.linear_call(forward, backward, inputs, tangent)
+    return out, d_out
 
 
-def _forward(how, which, given: Prepared, move):
-    """The derivative along a move of the cells (0) or of the sky (1)."""
-    (h, w), dtype = given.turn.shape, given.free.dtype
-    if which == 0:
-        # Empty pixels that move count as well, though no ray stops at them yet.
-        there = ((given.cells != 0) | (move != 0)).any(-1).reshape(h + 2, w + 2)[1:-1, 1:-1]
-        given = given._replace(free=_free(there, how[2] > 0, dtype))
-    arguments, whole = _numbers(given, how)
-    moves = (move, jnp.zeros_like(given.sky)) if which == 0 else (jnp.zeros_like(given.cells), move)
-    parts = [
-        call(
-            "tangent", (size, w, 3), dtype, *arguments,
-            jnp.asarray([*whole, begin], jnp.int32), *moves,
+def _forward(settings, by_sky: bool, inputs: TraceInputs, tangent):
+    """The derivative along a tangent of the cells or of the sky."""
+    (h, w), dtype = inputs.jitter_bin.shape, inputs.grid.free_distance.dtype
+    if by_sky:
+        tangents = jnp.zeros_like(inputs.grid.cells), tangent
+    else:
+        tangents = tangent, jnp.zeros_like(inputs.sky)
+        # Empty pixels with a tangent count as well, though no ray stops at them yet.
+        filled = ((inputs.grid.cells != 0) | (tangent != 0)).any(-1)
+        filled = filled.reshape(h + 2, w + 2)[1:-1, 1:-1]
+        free = _free_distance(filled, settings.step_length > 0, dtype)
+        inputs = inputs._replace(grid=inputs.grid._replace(free_distance=free))
+    blocks = [
+        compiled_call(
+            "tangent", (rows, w, 3), dtype, *trace_arguments(inputs, settings, first), *tangents
         )
-        for begin, size in shares(h, CALLS)
-    ]  # fmt: skip
-    return jnp.concatenate(parts, 0)
+        for first, rows in row_blocks(h, ROW_BLOCKS)
+    ]
+    return jnp.concatenate(blocks, 0)
 
 
-def _backward(how, which, given: Prepared, pull):
-    """The transpose. By the cells it is as slow as a march: which of the empty ones anyone asks for
-    is not known, and every one has a derivative."""
-    (h, w), dtype = given.turn.shape, given.free.dtype
-    if which == 0:
-        given = given._replace(free=_free(jnp.ones((h, w), bool), True, dtype))
-    arguments, whole = _numbers(given, how)
-    cells, kinds = given.cells.shape[0], given.sky.shape[0]
-    pull = pull.reshape(h, 3 * w)
-    parts = [
-        call(
-            "transpose", (1, cells + kinds, 4), dtype, *arguments,
-            jnp.asarray([*whole, begin, begin + size], jnp.int32), pull,
+def _backward(settings, by_sky: bool, inputs: TraceInputs, cotangent):
+    """The transpose of ``_forward``. By the cells it is as slow as a march: every empty cell has a
+    derivative, and which of them are needed is not known."""
+    (h, w), dtype = inputs.jitter_bin.shape, inputs.grid.free_distance.dtype
+    if not by_sky:
+        free = _free_distance(jnp.ones((h, w), bool), True, dtype)
+        inputs = inputs._replace(grid=inputs.grid._replace(free_distance=free))
+    cells, sky_rows = inputs.grid.cells.shape[0], inputs.sky.shape[0]
+    cotangent = cotangent.reshape(h, 3 * w)
+    blocks = [
+        compiled_call(
+            "transpose", (1, cells + sky_rows, 4), dtype,
+            *trace_arguments(inputs, settings, first, first + rows), cotangent,
         )
-        for begin, size in shares(h, TRANSPOSED_CALLS)
+        for first, rows in row_blocks(h, TRANSPOSE_BLOCKS)
     ]  # fmt: skip
-    both = jnp.concatenate(parts, 0).sum(0)
-    return both[:cells] if which == 0 else both[cells:, :3]
+    both = jnp.concatenate(blocks, 0).sum(0)
+    return both[cells:, :3] if by_sky else both[:cells]

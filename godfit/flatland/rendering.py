@@ -1,9 +1,10 @@
-"""A canvas and a sky -> the picture, by any of the methods."""
+"""The picture of a canvas under a sky, by any of the methods."""
 
 from __future__ import annotations
 
 import functools
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -14,23 +15,68 @@ from godfit.errors import InputError
 from godfit.flatland import published as as_published
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.cascades import cascades
-from godfit.flatland.rays import enough, gathered
+from godfit.flatland.rays import TraceSettings, gathered, steps_to_cross
 from godfit.flatland.sky import Sky
 
 METHODS = ("distance", "march", "cascades")
-RAYS = 32
-# Where in its part of the circle a jittered ray may go.
-KINDS = 64
-LARGEST_RAYS = 1 << 16
-# Of a march: steps for each pixel of the way.
-FINE = 2
+"""Ways to gather a pixel's light."""
+
+RENDER_RAYS = 32
+"""Rays of a pixel by default, the article's."""
+
+JITTER_BINS = 64
+"""Directions that a jittered ray takes one of, in its part of the circle: at 32 rays they are .18
+degrees apart, less than a pixel at a distance of 300 pixels."""
+
+MAX_RAYS_OR_STEPS = 1 << 16
+"""Rays of a pixel, or steps of a ray: far more than any picture needs, and with JITTER_BINS still
+within an int32."""
+
+MARCH_STEPS_PER_PIXEL = 2
+"""Steps of a march for each pixel of the canvas's diagonal, by default: longer ones leap over
+corners of pixels."""
+
+GRAIN_STREAM = 1
+"""Makes the random numbers of the grain differ from those of the jitter of the same seed."""
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """How the light is gathered and noise laid on, see ``render``. Raises InputError for settings
+    that mean nothing."""
+
+    rays: int = RENDER_RAYS
+    method: str = "distance"
+    steps: int | None = None
+    jitter: bool = False
+    grain: float = 0.0
+    seed: int | Int[Array, ""] = 0
+    published: bool = False
+    plain: bool | None = None
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise InputError(f"method: expected one of {', '.join(METHODS)}, got '{self.method}'")
+        for name, value in (("rays", self.rays), ("steps", self.steps)):
+            if value is not None and not 1 <= value <= MAX_RAYS_OR_STEPS:
+                raise InputError(
+                    f"{name}: expected a whole number from 1 to {MAX_RAYS_OR_STEPS}, got {value}"
+                )
+        if not 0 <= self.grain < math.inf:
+            raise InputError(f"grain: expected a finite number of 0 or more, got {self.grain:g}")
+        if self.method == "cascades" and self.steps is not None:
+            raise InputError(
+                "steps: expected none with the method cascades, got some; leave them out"
+            )
+        if self.method == "cascades" and self.published:
+            raise InputError("published: expected the method distance or march, got 'cascades'")
 
 
 def render(
     canvas: Canvas,
     sky: Sky | None = None,
     *,
-    rays: int = RAYS,
+    rays: int = RENDER_RAYS,
     method: str = "distance",
     steps: int | None = None,
     jitter: bool = False,
@@ -40,102 +86,91 @@ def render(
     published: bool = False,
     plain: bool | None = None,
 ) -> Float[Array, "h w 3"]:
-    """The light in the plane: every pixel shows what it sends out and, as far as it is not opaque,
-    the mean radiance that reaches it from all around.
+    """The light in the plane: every pixel has its own radiance and, as far as it is not opaque, the
+    mean radiance that reaches it from all around.
 
     **Arguments:**
 
-    - `canvas`: what emits and what hides; nothing outside it does.
-    - `sky`: what is seen past the canvas's border; None is darkness.
+    - `canvas`: all that emits and hides light; there is nothing outside it.
+    - `sky`: the radiance that comes from beyond the canvas's border; None is darkness.
     - `rays`: for each pixel, evenly around the circle; of cascades, around a probe of the first.
     - `method`: `"distance"` (see `godfit.flatland.rays`; exact but for the number of rays),
       `"march"` (fixed steps) or `"cascades"` (see `godfit.flatland.cascades`).
     - `steps`: of a march, how many the canvas's diagonal has, by default two a pixel; of the
-      distance march, after how many a ray gives up and sees nothing, by default enough for any.
+      distance march, after how many a ray ends without the sky's light, by default enough for any.
     - `jitter`: rays go anywhere in their part of the circle, each pixel's by an angle of its own:
       bands become noise. `seed` chooses; a mean over seeds has more rays.
     - `grain`: standard deviation of noise laid on the picture, after the exposure.
-    - `exposure`: what everything is multiplied by.
+    - `exposure`: a factor of the whole picture.
     - `published`: as the article's shaders have it, see `godfit.flatland.published`; `jitter` is
       then always there, and the same in every frame.
     - `plain`: XLA's own loops in place of compiled ones, by default wherever JAX does not run on a
       CPU.
 
-    **Returns:** (h, w, 3), linear, not clamped; differentiable, forward and reverse, in the
-    canvas's radiance and opacity (and so in the shapes of `godfit.flatland.drawing`), the sky's
-    four and the exposure, by `"distance"` and `"march"`. The others have no derivative, and say so:
-    a ValueError. Raises InputError for settings that mean nothing, and for `"cascades"`, compiled
-    for CPUs, where JAX runs elsewhere.
+    **Returns:** (h, w, 3), linear, not clamped. By `"distance"` and `"march"` it is differentiable,
+    forward and reverse, in the canvas's radiance and opacity (and so in the shapes of
+    `godfit.flatland.drawing`), the sky's four numbers and the exposure. The others have no
+    derivative: a ValueError. Raises InputError for settings that mean nothing, and for
+    `"cascades"`, compiled for CPUs, where JAX runs elsewhere.
     """
-    check_settings(rays, method, steps, grain, published)
+    options = RenderOptions(rays, method, steps, jitter, grain, seed, published, plain)
     sky = Sky.none() if sky is None else sky
-    h, w = canvas.size
     if published:
         make = functools.partial(as_published.published, rays=rays, steps=steps, method=method)
         light = _without_derivative("published", make, canvas, sky)
-        return exposure * light + _grain(light, grain, seed)
-    if method == "cascades":
-        if jax.default_backend() != "cpu":
-            raise InputError(
-                "method: expected 'distance' or 'march' where JAX does not run on a CPU, got "
-                "'cascades'; set JAX_PLATFORMS=cpu"
-            )
-        reached = _without_derivative(
-            "cascades", functools.partial(cascades, rays=rays), canvas, sky
-        )
     else:
-        turn, kinds = None, 1
-        if jitter:
-            turn = jax.random.randint(jax.random.key(seed), (h, w), 0, KINDS, jnp.int32)
-            kinds = KINDS
-        step = 0.0
-        if method == "march":
-            many = steps or math.ceil(FINE * math.hypot(h, w))
-            step = math.hypot(h, w) / many
-        plain = jax.default_backend() != "cpu" if plain is None else plain
-        most = enough(h, w)
-        if method == "march":
-            # The last step may end a little short.
-            most = math.ceil(math.hypot(h, w) / step) + 2
-        elif steps is not None:
-            most = steps
-
-        def reach(canvas, sky):
-            return gathered(canvas, sky.over(rays * kinds), rays, most, step, turn, plain)
-
-        if method == "distance" and most < enough(h, w):
-            # Whether a ray gives up hangs on where everything is, and no derivative shows it.
-            reached = _without_derivative("distance with few steps", reach, canvas, sky)
+        if method == "cascades":
+            reached = _by_cascades(canvas, sky, rays)
         else:
-            reached = reach(canvas, sky)
-    light = canvas.radiance + (1 - canvas.opacity)[..., None] * reached
+            reached = _by_rays(canvas, sky, options)
+        light = canvas.radiance + (1 - canvas.opacity)[..., None] * reached
     return exposure * light + _grain(light, grain, seed)
 
 
-def check_settings(
-    rays: int, method: str, steps: int | None, grain: float, published: bool
-) -> None:
-    """Raise InputError for settings that mean nothing."""
-    if method not in METHODS:
-        raise InputError(f"method: expected one of {', '.join(METHODS)}, got '{method}'")
-    for name, value in (("rays", rays), ("steps", steps)):
-        if value is not None and not 1 <= value <= LARGEST_RAYS:
-            raise InputError(
-                f"{name}: expected a whole number from 1 to {LARGEST_RAYS}, got {value}"
-            )
-    if not 0 <= grain < math.inf:
-        raise InputError(f"grain: expected a finite number of 0 or more, got {grain:g}")
-    if method == "cascades" and steps is not None:
-        raise InputError("steps: expected none with the method cascades, got some; leave them out")
-    if method == "cascades" and published:
-        raise InputError("published: expected the method distance or march, got 'cascades'")
+def _by_cascades(canvas: Canvas, sky: Sky, rays: int) -> Float[Array, "h w 3"]:
+    """The mean radiance that reaches every pixel, by cascades."""
+    if jax.default_backend() != "cpu":
+        raise InputError(
+            "method: expected 'distance' or 'march' where JAX does not run on a CPU, got "
+            "'cascades'; set JAX_PLATFORMS=cpu"
+        )
+    return _without_derivative("cascades", functools.partial(cascades, rays=rays), canvas, sky)
+
+
+def _by_rays(canvas: Canvas, sky: Sky, options: RenderOptions) -> Float[Array, "h w 3"]:
+    """The mean radiance that reaches every pixel, by a march or the distance march."""
+    jitter_bin, jitter_bins = None, 1
+    if options.jitter:
+        key = jax.random.key(options.seed)
+        jitter_bin = jax.random.randint(key, canvas.size, 0, JITTER_BINS, jnp.int32)
+        jitter_bins = JITTER_BINS
+    plain = jax.default_backend() != "cpu" if options.plain is None else options.plain
+    settings = _trace_settings(canvas, options)
+
+    def reach(canvas, sky):
+        directions = options.rays * jitter_bins
+        return gathered(canvas, sky.over(directions), settings, jitter_bin, plain)
+
+    if options.method == "distance" and settings.max_steps < steps_to_cross(*canvas.size):
+        # Whether a ray ends too early depends on all positions, and no derivative includes it.
+        return _without_derivative("distance with few steps", reach, canvas, sky)
+    return reach(canvas, sky)
+
+
+def _trace_settings(canvas: Canvas, options: RenderOptions) -> TraceSettings:
+    diagonal = math.hypot(*canvas.size)
+    if options.method == "march":
+        length = diagonal / (options.steps or math.ceil(MARCH_STEPS_PER_PIXEL * diagonal))
+        # The last step may end a little short.
+        return TraceSettings(options.rays, math.ceil(diagonal / length) + 2, length)
+    return TraceSettings(options.rays, options.steps or steps_to_cross(*canvas.size))
 
 
 def _grain(light, grain: float, seed):
+    """Noise of standard deviation ``grain`` for a picture ``light``."""
     if grain == 0:
         return jnp.zeros((), light.dtype)
-    # Apart from the jitter of the same seed.
-    key = jax.random.fold_in(jax.random.key(seed), 1)
+    key = jax.random.fold_in(jax.random.key(seed), GRAIN_STREAM)
     return grain * jax.random.normal(key, light.shape, light.dtype)
 
 

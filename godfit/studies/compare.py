@@ -18,7 +18,7 @@ import jax
 import numpy as np
 
 from godfit.fitting import fit
-from godfit.flatland import inputs as plane
+from godfit.flatland import fit_setup as plane
 from godfit.flatland.model import Flatland
 from godfit.inference.criteria import aic, bic
 from godfit.io.sources import Source, read_source
@@ -37,7 +37,7 @@ def compare(
     *,
     mask: Source | None = None,
     scene: Scene | str | os.PathLike[str] | None = None,
-    canvas: plane.Source | None = None,
+    canvas: plane.CanvasSource | None = None,
     rays: int | None = None,
     light: tuple[float, float] | None = None,
     fov: float | None = None,

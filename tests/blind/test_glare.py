@@ -12,7 +12,7 @@ from godfit.models.disc_light import VEIL, DiscLight
 from godfit.models.mitchell import Mitchell
 from tests.support.synthetic import screens
 
-made = screens.made
+made = screens.make_screenshot
 
 SIZE = (120, 200)
 

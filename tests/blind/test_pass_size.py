@@ -12,7 +12,7 @@ from godfit.inference.observation import Picture
 from godfit.io.sources import read_source
 from tests.support.synthetic import screens
 
-made = screens.made
+made = screens.make_screenshot
 
 
 def picture_of(levels):

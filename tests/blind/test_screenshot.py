@@ -37,7 +37,7 @@ from godfit.models.mitchell import Mitchell
 from godfit.report.verdict import _undetermined_place
 from tests.support.synthetic import screens
 
-made = screens.made
+made = screens.make_screenshot
 
 SIZE = (90, 160)
 

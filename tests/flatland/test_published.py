@@ -103,7 +103,7 @@ def test_defect_epsilon_is_under_a_pixel_and_rays_starve_beside_a_wall():
     """Above a long black floor the lower half of the circle is dark. The published rays that run
     beside the floor use up their steps and see the sky instead."""
     h, w = 60, 240
-    assert w * as_published.EPSILON < 1
+    assert w * as_published.PUBLISHED_EPSILON < 1
     opacity = np.zeros((h, w))
     opacity[42:] = 1
     made = canvas(np.zeros((h, w, 3)), opacity)
@@ -164,7 +164,7 @@ def test_published_distance_march_finds_a_lamp():
     [
         (lambda: weights(0), "frames: expected 1 or more, got 0"),
         (lambda: weights(3, "sum"), "accumulation: expected mean or exponential, got 'sum'"),
-        (lambda: weights(3, "exponential", 1.0), "kept: expected a share from 0 to below 1, got 1"),
+        (lambda: weights(3, "exponential", 1.0), "history: expected a share from 0 to below 1"),
         (lambda: accumulated([]), "frames: expected 1 or more, got none"),
     ],
 )

@@ -10,7 +10,13 @@ import pytest
 
 from godfit.errors import InputError
 from godfit.flatland import Canvas, Sky, canvas, render
-from godfit.flatland.rays import angles, free_distance, gathered, passing
+from godfit.flatland.rays import (
+    TraceSettings,
+    angles,
+    free_distance,
+    gathered,
+    radiance_and_transmittance,
+)
 from tests.support import flatland_oracle as oracle
 
 SKY = Sky(70.0, 50.0, (0.9, 0.8, 0.5), (0.1, 0.2, 0.4))
@@ -28,7 +34,7 @@ def light(made: Canvas, sky, rays, method="distance", plain=False, steps=None):
     if method == "march":
         step = 0.01
         most = math.ceil(math.hypot(h, w) / step) + 2
-    return np.asarray(gathered(made, sky.over(rays), rays, most, step, None, plain))
+    return np.asarray(gathered(made, sky.over(rays), TraceSettings(rays, most, step), None, plain))
 
 
 @pytest.mark.parametrize("partial", [False, True], ids=["all or nothing", "partly opaque"])
@@ -65,7 +71,7 @@ def test_compiled_gives_up_where_the_plain_walk_does(method, steps):
     made = canvas(*oracle.random_canvas((11, 15), 6))
     step = 0.0 if method == "distance" else 0.37
     found, expected = (
-        np.asarray(gathered(made, SKY.over(6), 6, steps, step, None, plain))
+        np.asarray(gathered(made, SKY.over(6), TraceSettings(6, steps, step), None, plain))
         for plain in (False, True)
     )
     np.testing.assert_allclose(found, expected, atol=1e-13)
@@ -212,10 +218,10 @@ class TestWhatIsSeen:
         sky = Sky(160.0, 50.0, SKY.sun, SKY.sky)
         np.testing.assert_allclose(rendered(turned, sky, rays=16), np.rot90(found), atol=1e-9)
 
-    def test_passing_has_all_that_a_sky_needs(self):
+    def test_transmittance_is_all_that_a_sky_needs(self):
         """What fits stand on: the picture is linear in the sky."""
         made = canvas(*oracle.random_canvas((14, 11), 12))
-        parts = np.asarray(passing(made, 24, 100))
+        parts = np.asarray(radiance_and_transmittance(made, TraceSettings(24, 100)))
         found = parts[..., :3] + parts[..., 3:] @ np.asarray(SKY.over(24))
         np.testing.assert_allclose(found, light(made, SKY, 24), atol=1e-12)
 

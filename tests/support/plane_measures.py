@@ -28,12 +28,14 @@ def drawn(values: np.ndarray) -> Canvas:
 
 def scenes(size: int) -> dict[str, np.ndarray]:
     """(size, size, 4) bytes by name."""
-    cells = list(sand.frames(sand.hourglass(size // 4, canvases.SEED), 2, 40, canvases.SEED))[1]
+    cells = list(
+        sand.frames(sand.hourglass(size // 4, canvases.SAND_SEED), 2, 40, canvases.SAND_SEED)
+    )[1]
     return {
         "stroke": canvases.stroke(size, size),
         "window": canvases.window(size, size),
         "maze": canvases.maze(size, max(size // 16, 2)),
-        "sand": canvases.of_sand(cells, 4),
+        "sand": canvases.sand_canvas(cells, 4),
     }
 
 

@@ -11,6 +11,7 @@ from tests.support.paths import DATA_SYNTHETIC
 
 sys.path.insert(0, str(DATA_SYNTHETIC))
 
+import bodies
 import canvases
 import make
 import photographs
@@ -18,4 +19,4 @@ import sand
 import screens
 import stages
 
-__all__ = ["canvases", "make", "photographs", "sand", "screens", "stages"]
+__all__ = ["bodies", "canvases", "make", "photographs", "sand", "screens", "stages"]
