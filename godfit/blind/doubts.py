@@ -13,7 +13,8 @@ from godfit.inference.observation import Observation
 from godfit.inference.settle import Settled, Tangent
 from godfit.inference.solver import solve_tangent
 from godfit.io.sources import shrink_mask
-from godfit.models.disc_light import DENSITY, DiscLight
+from godfit.models.coordinates import DENSITY
+from godfit.models.disc_light import DiscLight
 
 
 def rivals(
