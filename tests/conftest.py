@@ -53,6 +53,7 @@ enable_jax_cache()
 # What numba compiles cannot be wrapped: it is loaded first, and all else once more.
 COMPILED = (
     "godfit.scenes.projection",
+    "godfit.scenes.pixel_lists",
     "godfit.scenes.visibility",
     "godfit.scenes.contours",
     "godfit.scenes.intersections",
@@ -61,6 +62,7 @@ COMPILED = (
     "godfit.blind.consensus",
     "godfit.scattering.mask_jacobian",
     "godfit.blind.disc_sums",
+    "godfit.models.disc_box",
     "godfit.models.disc_kernel",
     "godfit.flatland.kernel_records",
     "godfit.flatland.walk_kernel",

@@ -15,7 +15,10 @@ from godfit.inference.problem import Problem
 from godfit.inference.solver import Point, solve
 from godfit.io.filters import over_channels
 from godfit.io.image import LEVELS
-from godfit.models.disc_light import FIRST, DiscLight, terms
+from godfit.models.background import terms
+from godfit.models.bare_picture import AbstractBarePicture
+from godfit.models.coordinates import FIRST_BACKGROUND
+from godfit.models.disc_light import DiscLight
 from godfit.runtime.parallel import parallel_map
 from godfit.runtime.program_cache import cached_jit
 
@@ -72,7 +75,7 @@ def _veiled(start: Mapping[str, float], veil: float | None) -> dict[str, float]:
     return {"gain": gain * (1 - veil), "veil_gain": gain * veil}
 
 
-def coordinates_of(start: Mapping[str, float], model: DiscLight) -> np.ndarray:
+def coordinates_of(start: Mapping[str, float], model: AbstractBarePicture) -> np.ndarray:
     """Coordinates of what the screening found; the background is left out."""
     unit = model.convention.gain * float(np.asarray(model.colour).mean())
     disc, veil = (start[name] / unit for name in ("gain", "veil_gain"))
@@ -87,7 +90,7 @@ def coordinates_of(start: Mapping[str, float], model: DiscLight) -> np.ndarray:
 
 
 def with_background(
-    z: np.ndarray, held: np.ndarray, model: DiscLight, seen: Observation
+    z: np.ndarray, held: np.ndarray, model: AbstractBarePicture, seen: Observation
 ) -> np.ndarray:
     """Coordinates with the background that suits the rest of them best, by least squares."""
     light = np.asarray(_light(z, held, model, seen))
@@ -105,11 +108,11 @@ def with_background(
     close = off <= np.quantile(off, 0.9)
     found = np.linalg.lstsq(basis[close], goal[close], rcond=None)[0]
     z = z.copy()
-    z[FIRST : FIRST + found.size] = found.reshape(-1)
+    z[FIRST_BACKGROUND : FIRST_BACKGROUND + found.size] = found.reshape(-1)
     return z.astype(np.float32)
 
 
 @cached_jit
-def _light(z, held, model: DiscLight, seen: Observation):
+def _light(z, held, model: AbstractBarePicture, seen: Observation):
     at = model.moved(z, held)
     return at.light_pass(seen.mask, size=seen.size, pixels=seen.pixels)

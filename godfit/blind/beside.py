@@ -15,7 +15,7 @@ import numpy as np
 
 from godfit.blind.turns import Read, Turns
 from godfit.inference.evaluate import predicted
-from godfit.models.disc_light import DENSITY, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS
+from godfit.models.coordinates import DENSITY, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS
 from godfit.runtime.parallel import parallel_map
 
 # How far beside an answer it is looked for at first: shares of the radius, periods of the light,

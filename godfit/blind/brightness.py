@@ -16,7 +16,7 @@ import numpy as np
 
 from godfit.blind.beside import holding, nearer
 from godfit.blind.turns import SOME, Read, Turns
-from godfit.models.disc_light import DENSITY, GAIN, LIGHT_X, LIGHT_Y, RADIUS
+from godfit.models.coordinates import DENSITY, GAIN, LIGHT_X, LIGHT_Y, RADIUS
 from godfit.runtime.parallel import parallel_map
 
 # Steps, in powers of two, and how many of them to either side, most: wide ones may cross a plateau,

@@ -26,17 +26,9 @@ from godfit.blind.turns import Read, Turns
 from godfit.inference.evaluate import model_at, taps_of
 from godfit.io.filters import shrink
 from godfit.io.image import LEVELS
-from godfit.models.disc_light import (
-    DENSITY,
-    GAIN,
-    KAPPA,
-    LIGHT_X,
-    LIGHT_Y,
-    RADIUS,
-    VEIL,
-    DiscLight,
-    terms,
-)
+from godfit.models.background import terms
+from godfit.models.coordinates import DENSITY, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, VEIL
+from godfit.models.disc_light import DiscLight
 from godfit.runtime.parallel import parallel_map
 
 # Clear rays that are asked at first and later, least, and pixels among which they are looked for.

@@ -14,7 +14,7 @@ from godfit.inference.problem import Problem
 from godfit.inference.settle import Settled
 from godfit.inference.solver import Intervals, Tangent, solve_tangent
 from godfit.io.sources import shrink_mask
-from godfit.models.disc_light import DENSITY
+from godfit.models.coordinates import DENSITY
 
 
 def rivals(

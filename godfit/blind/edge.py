@@ -10,7 +10,8 @@ import numpy as np
 
 from godfit.blind.turns import SOME, Read, Turns
 from godfit.inference.distinct import DOUBT
-from godfit.models.disc_light import EDGE, SOFT
+from godfit.models.bare_picture import DERIVATIVE_EDGE
+from godfit.models.coordinates import EDGE
 from godfit.runtime.parallel import parallel_map
 
 # Widths of the disc's edge in texels: of one that is drawn without anti-aliasing, whose rim is left
@@ -72,7 +73,7 @@ def softened(turns: Turns, read: Read) -> tuple[Turns, Read]:
     if not softer.total(soft) < turns.total(hard) - DOUBT:
         return turns, hard
     ways = [(turns, turns.solved(soft, turns.noise))]
-    if soft.point.coordinates[EDGE] > SOFT / read.mask.shape[0]:
+    if soft.point.coordinates[EDGE] > DERIVATIVE_EDGE / read.mask.shape[0]:
         ways.append((softer, soft))
     again, *wide = parallel_map(lambda way: way[0].turned(way[1], SOME), ways)
     hard = min(hard, again, key=turns.total)

@@ -17,7 +17,7 @@ from godfit.blind.edge import PARTS, hardened
 from godfit.blind.turns import SOME, Read, Turns
 from godfit.io.filters import shrink
 from godfit.models.base import FAINTEST
-from godfit.models.disc_light import DENSITY, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, VEIL
+from godfit.models.coordinates import DENSITY, GAIN, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, VEIL
 from godfit.runtime.parallel import parallel_map
 
 # Share of how far is looked beside an answer at first: of all of it where clear rays have shown the

@@ -10,7 +10,9 @@ from scipy import ndimage
 from godfit.inference.evaluate import predicted
 from godfit.inference.observation import Picture
 from godfit.io.filters import shrink
-from godfit.models.disc_light import TERMS, DiscLight, terms
+from godfit.models.background import TERM_COUNTS, terms
+from godfit.models.bare_picture import AbstractBarePicture
+from godfit.models.disc_light import DiscLight
 
 # Longest side of the copy on which it is asked how much the light explains: fine texture is gone.
 COPY = 60
@@ -48,7 +50,7 @@ def explained(z, held, model: DiscLight, small: Picture, texture: float) -> floa
     return float((alone - left) / max(alone - unasked, alone / 4))
 
 
-def explained_of_cells(z, held, model: DiscLight, picture: Picture) -> float:
+def explained_of_cells(z, held, model: AbstractBarePicture, picture: Picture) -> float:
     """The same where little of the picture can be read, and that little is textured: in means over
     what can be read of each cell of COPY to the longer side, 1 is all, 0 none."""
     seen = picture.observe(np.arange(picture.size[0] * picture.size[1]))
@@ -75,7 +77,7 @@ def explained_of_cells(z, held, model: DiscLight, picture: Picture) -> float:
 def _off_background(goal: np.ndarray, cells: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """(n,) levels by which ``goal`` (n, c) at row-major ``cells`` of a copy of ``size`` is off a
     smooth background, the one with the least absolute deviations."""
-    basis, weight, off = terms(cells, size, TERMS[3]), np.ones(len(goal)), np.zeros(len(goal))
+    basis, weight, off = terms(cells, size, TERM_COUNTS[3]), np.ones(len(goal)), np.zeros(len(goal))
     for _ in range(10):
         root = np.sqrt(weight)[:, None]
         fitted = basis @ np.linalg.lstsq(basis * root, goal * root, rcond=None)[0]

@@ -21,7 +21,9 @@ from godfit.inference.problem import Problem
 from godfit.inference.solver import Point
 from godfit.io.filters import over_channels
 from godfit.io.image import LEVELS
-from godfit.models.disc_light import EDGE, TERMS, DiscLight
+from godfit.models.background import TERM_COUNTS
+from godfit.models.coordinates import EDGE
+from godfit.models.disc_light import DiscLight
 from godfit.models.mitchell import Mitchell
 from godfit.runtime.parallel import parallel_map
 
@@ -96,7 +98,7 @@ def look(
     if {"light_x", "light_y"} <= set(given):
         lights = np.array([[given["light_x"], given["light_y"]]])
     say(f"{len(lights)} lights")
-    begun = screen_disc.starts(small, small.mask, TERMS[reading.degree], lights, seed, STARTS)
+    begun = screen_disc.starts(small, small.mask, TERM_COUNTS[reading.degree], lights, seed, STARTS)
     seen = small.observe(small.informative(FEW, seed))
     begun += likeliest(_as_given(glare.starts(picture, seed), given), still, model, seen)
     points = rough(begun, Problem(model, small, free, still, seed), seen)

@@ -8,7 +8,7 @@ from godfit.blind import first_look
 from godfit.blind.explained import TEXTURE
 from godfit.blind.sight import out_of_sight
 from godfit.inference.observation import Picture
-from godfit.models.disc_light import LIGHT_X, LIGHT_Y
+from godfit.models.coordinates import LIGHT_X, LIGHT_Y
 
 # Of what varies in a picture, the share that light must explain to be called rays: of a textured
 # one, where photographs, text and noise reach 0 and screenshots .4, and of others, where landscapes

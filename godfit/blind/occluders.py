@@ -25,7 +25,9 @@ from godfit.blind.lasso import Along, lasso
 from godfit.inference.evaluate import taps_of
 from godfit.inference.observation import Picture
 from godfit.io.image import LEVELS
-from godfit.models.disc_light import DARK, DiscLight, terms
+from godfit.models.background import terms
+from godfit.models.bare_picture import FAINTEST_VEIL
+from godfit.models.disc_light import DiscLight
 from godfit.runtime.program_cache import cached_jit
 from godfit.scattering.mask_jacobian import PartlyKnownMask, PixelTaps, mask_jacobian
 
@@ -209,7 +211,7 @@ def _rim(model: DiscLight, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarra
     that is open is worth. How they are cut the model does not know: they may be anything from dark
     to as bright as the disc, so that some are more than open."""
     rim, lit = (np.asarray(each) for each in _disc_of(model, size))
-    return rim, np.where(rim, np.maximum(lit, DARK), 1).astype(np.float32)
+    return rim, np.where(rim, np.maximum(lit, FAINTEST_VEIL), 1).astype(np.float32)
 
 
 def lit_by(model: DiscLight, size: tuple[int, int]) -> np.ndarray:

@@ -32,8 +32,17 @@ from godfit.inference.settle import settle
 from godfit.inference.solver import Point, solve
 from godfit.io.image import LEVELS, Image
 from godfit.io.sources import shrink_mask
-from godfit.models.bright_pass import DARK, SOFTNESS, THRESHOLD, BrightPass, brightness
-from godfit.models.disc_light import DENSITY, GAIN, LIGHT_X, LIGHT_Y, TERMS, terms
+from godfit.models.background import TERM_COUNTS, terms
+from godfit.models.bright_pass import BrightPass, brightness
+from godfit.models.coordinates import (
+    DARK_VALUE,
+    DENSITY,
+    GAIN,
+    LIGHT_X,
+    LIGHT_Y,
+    SOFTNESS,
+    THRESHOLD,
+)
 from godfit.models.mitchell import Mitchell
 from godfit.runtime.blas import one_thread
 from godfit.runtime.device import on_device
@@ -96,7 +105,7 @@ def found_in(
     z, mask = _in_turn(points[0].coordinates, Problem(model, picture, free, held, seed), scale)
     picture = picture.with_mask(mask)
     model = _template(shading, picture.channels, FINER, least)
-    more = (TERMS[FINER] - TERMS[DEGREE]) * picture.channels
+    more = (TERM_COUNTS[FINER] - TERM_COUNTS[DEGREE]) * picture.channels
     z, held, free = (
         np.append(old, np.full(more, new, old.dtype))
         for old, new in ((z, 0), (held, np.nan), (free, True))
@@ -151,7 +160,7 @@ def _between(bright: np.ndarray) -> float:
 
 
 def _template(shading: Mitchell, channels: int, degree: int, least: float) -> BrightPass:
-    return BrightPass(shading, [least, SOFT, 0.0], np.zeros((TERMS[degree], channels)), least)
+    return BrightPass(shading, [least, SOFT, 0.0], np.zeros((TERM_COUNTS[degree], channels)), least)
 
 
 def _begun(
@@ -169,7 +178,12 @@ def _begun(
             small, open_, len(model.background), lights, seed, STARTS, EVERYWHERE
         ):
             z = coordinates_of(start, model)
-            z[[GAIN, THRESHOLD, SOFTNESS, DARK]] = z[GAIN] + z[DARK], threshold, softness, 0
+            z[[GAIN, THRESHOLD, SOFTNESS, DARK_VALUE]] = (
+                z[GAIN] + z[DARK_VALUE],
+                threshold,
+                softness,
+                0,
+            )
             begun.append(z)
     return begun
 

@@ -22,7 +22,7 @@ from godfit.blind.segment import regions
 from godfit.inference.observation import Picture
 from godfit.io.filters import shrink
 from godfit.io.image import LEVELS
-from godfit.models.disc_light import powers
+from godfit.models.background import term_values
 from godfit.runtime.device import on_device
 from godfit.runtime.parallel import map_halves, parallel_map
 from godfit.runtime.program_cache import cached_jit
@@ -155,7 +155,7 @@ def starts(
     fine = shrink(open_, (FINE, FINE))
     at = np.stack([u * fine.shape[1] / 2 - 0.5, (1 - v) * fine.shape[0] / 2 - 0.5], -1)
     x, y = 2 * u - 1, 2 * v - 1
-    basis = np.stack(powers(x, y, terms), -1)
+    basis = np.stack(term_values(x, y, terms), -1)
     shapes = np.array(list(itertools.product(KAPPAS, GRID_DENSITIES)), np.float32)
     middles = (np.arange(RAY_STEPS) + 0.5) / RAY_STEPS
     part = np.clip(shapes[:, 1:] * RAY_STEPS - np.arange(RAY_STEPS), 0, 1)

@@ -16,7 +16,8 @@ from godfit.blind.explained import grain
 from godfit.blind.segment import Segments, grown, light_colour, panels, segments
 from godfit.inference.observation import Picture
 from godfit.io.image import Image
-from godfit.models.disc_light import TERMS, DiscLight
+from godfit.models.background import TERM_COUNTS
+from godfit.models.disc_light import DiscLight
 from godfit.models.mitchell import Mitchell
 
 # Share of pixels that the model may be silent about without being told.
@@ -88,4 +89,4 @@ def _sorted_out(picture: Picture, found: Segments, lying: list[tuple[int, int, i
 
 def template(shading: Mitchell, channels: int, degree: int, tint) -> DiscLight:
     """The model at no particular point, but for the light's ``tint`` (t,)."""
-    return DiscLight(shading, [0.1, 0.003, 0.05], np.zeros((TERMS[degree], channels)), tint)
+    return DiscLight(shading, [0.1, 0.003, 0.05], np.zeros((TERM_COUNTS[degree], channels)), tint)

@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from godfit.io.filters import over_channels
 from godfit.io.image import LEVELS
-from godfit.models.disc_light import POWERS, TERMS, powers
+from godfit.models.background import TERM_COUNTS, TERM_POWERS, term_values
 from godfit.runtime.parallel import parallel_map
 
 # A difference of channels this many levels off, or this many times its own spread, is another
@@ -68,9 +68,9 @@ def field(
     if len(at) > PIXELS:
         at = np.random.default_rng(0).choice(at, PIXELS, replace=False)
     x, y = 2 * (at % w + 0.5) / w - 1, 1 - 2 * (at // w + 0.5) / h
-    basis = np.stack(powers(x, y, TERMS[degree]), -1)
+    basis = np.stack(term_values(x, y, TERM_COUNTS[degree]), -1)
     goal = values.reshape(-1)[at].astype(np.float64)
-    coefficients = np.zeros(TERMS[degree] + (along is not None))
+    coefficients = np.zeros(TERM_COUNTS[degree] + (along is not None))
     left = goal
     if along is not None:
         basis = np.column_stack([basis, along.reshape(-1)[at]])
@@ -93,7 +93,7 @@ def field(
     rows, columns = np.arange(h), np.arange(w)
     px, py = 2 * (columns + 0.5) / w - 1, 1 - 2 * (rows + 0.5) / h
     grid = np.zeros((degree + 1, degree + 1))
-    for coefficient, (i, j) in zip(coefficients, POWERS[: TERMS[degree]], strict=False):
+    for coefficient, (i, j) in zip(coefficients, TERM_POWERS[: TERM_COUNTS[degree]], strict=False):
         grid[j, i] = coefficient
     whole = polyvander(py, degree) @ grid @ polyvander(px, degree).T
     slope = 0.0 if along is None else float(coefficients[-1])

@@ -31,7 +31,8 @@ from godfit.inference.settle import settle
 from godfit.inference.solver import Point
 from godfit.io.image import Image
 from godfit.io.sources import shrink_mask
-from godfit.models.disc_light import DENSITY, EDGE, FIRST, GAIN, LIGHT_X, LIGHT_Y, TERMS, VEIL
+from godfit.models.background import TERM_COUNTS
+from godfit.models.coordinates import DENSITY, EDGE, FIRST_BACKGROUND, GAIN, LIGHT_X, LIGHT_Y, VEIL
 from godfit.models.mitchell import Mitchell
 from godfit.runtime.blas import one_thread
 from godfit.runtime.parallel import parallel_map
@@ -288,9 +289,9 @@ def _finer_background(
 ) -> tuple[Turns, Read, list[np.ndarray]]:
     """With a background of as high a degree as in the end, unless it is constant."""
     k, c = turns.model.background.shape
-    if k in (1, TERMS[FINER]):
+    if k in (1, TERM_COUNTS[FINER]):
         return turns, read, doubts
-    more, end = (TERMS[FINER] - k) * c, FIRST + k * c
+    more, end = (TERM_COUNTS[FINER] - k) * c, FIRST_BACKGROUND + k * c
 
     def longer(values: np.ndarray, by: float = 0) -> np.ndarray:
         return np.insert(values, end, np.full(more, by, values.dtype))

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 
 from godfit.flatland.canvas import Canvas
 from godfit.io.toml_table import Table
-from godfit.scenes.scene import MAX_SIZE
+from godfit.scenes.scene import MAX_PICTURE_SIDE
 
 SHAPE_NUMBERS: dict[str, dict[str, int]] = {
     "disc": {"centre": 2, "radius": 1},
@@ -145,7 +145,7 @@ def read_drawing(path: str | os.PathLike[str]) -> Drawing:
     image, sky = root.table("image"), root.table("sky", {})
     shapes = [_shape(Table(path, f"shape[{i}]", t)) for i, t in enumerate(root.tables("shape"))]
     root.finish()
-    size = image.whole("height", 1, MAX_SIZE), image.whole("width", 1, MAX_SIZE)
+    size = image.whole("height", 1, MAX_PICTURE_SIDE), image.whole("width", 1, MAX_PICTURE_SIDE)
     softness = image.number("softness", EDGE_SOFTNESS, above=0.0)
     settings = [(k, sky.number(k)) for k in ("sun_angle", "sun_width") if k in sky.data]
     settings += [(k, tuple(_radiance(sky, k))) for k in ("sun", "sky") if k in sky.data]

@@ -1,4 +1,4 @@
-"""What a model is: parameters and a mask in, an image out.
+"""The interface of a model: parameters and a mask in, an image out.
 
 A model is a module whose fields are its parameters. A fit moves the vector of ``coordinates`` and
 evaluates the image; it names no model.
@@ -17,27 +17,30 @@ from godfit.scattering.parameters import Parameter
 from godfit.scattering.taps import Count
 from godfit.scattering.upsample import Texels
 
-# By coordinate or by parameter; what lives between two calls is kept as a numpy array.
 Vector = Float[Array, " p"] | Float[np.ndarray, " p"]
-# Exposures and gains that are none: derivatives divide by their squares.
-FAINTEST = 1e-12
-# By pixel and channel.
+"""A number for each coordinate, or for each parameter. Between two compiled calls it is a NumPy
+array."""
 Values = Float[Array, " m"] | Float[np.ndarray, " m"]
+"""A number for each pixel and channel."""
+FAINTEST = 1e-12
+"""Exposure or gain up to which there is no light pass: derivatives divide by its square, which has
+to be a float32."""
 
 
 class AbstractModel(eqx.Module):
-    """What fit and report need to know of a model."""
+    """The part of a model that fit and report use."""
 
     name: eqx.AbstractClassVar[str]
-    # Coordinates are held where a picture leaves them open: this one last.
+    # The parameter that is held last, where a picture leaves several undetermined.
     held_last: eqx.AbstractClassVar[str]
     # Whether the mask is 1 where the sky is open, and 0 where anything hides it.
     mask_is_sky: ClassVar[bool] = False
-    # (open, other): where the first is open and the other is not, only their product is known.
+    # (open, other): where the first is undetermined and the other is not, only the product of both
+    # is known.
     product: eqx.AbstractClassVar[tuple[str, str]]
-    # Whether the cost has a dip for every band that taps leave, see ``dips.py``.
+    # Whether taps leave bands in the image, each of which makes a local minimum of the cost.
     banded: eqx.AbstractClassVar[bool]
-    # Channels that the image has whatever the mask has.
+    # Least number of channels of the image, for a mask of one channel.
     channels: eqx.AbstractClassVar[int]
     samples: eqx.AbstractVar[Count]
     light: eqx.AbstractVar[Float[Array, "lights 2"]]
@@ -45,7 +48,7 @@ class AbstractModel(eqx.Module):
     @property
     @abstractmethod
     def settings(self) -> dict[str, str | int | float]:
-        """What was given and not fitted, for reports: the shader and the like."""
+        """The settings that are given and not fitted, for reports: the shader and the like."""
 
     @property
     @abstractmethod
@@ -55,25 +58,25 @@ class AbstractModel(eqx.Module):
     @property
     @abstractmethod
     def defaults(self) -> dict[str, float]:
-        """What parameters are where nothing is said of them."""
+        """The values of parameters that are not given, by name."""
 
     @property
     def used(self) -> np.ndarray:
-        """(p,) False for parameters that say nothing here."""
+        """(p,) False for parameters that have no effect here."""
         return np.ones(len(self.parameters), bool)
 
     @abstractmethod
     def values(self) -> dict[str, Float[Array, ""]]:
-        """The parameters, by name, in the table's order."""
+        """The values of the parameters, by name, in the table's order."""
 
     @abstractmethod
     def coordinates(self) -> Float[Array, " p"]:
-        """The point in fit coordinates, one for each parameter and in their order."""
+        """The fit coordinates, one for each parameter and in their order."""
 
     @abstractmethod
     def moved(self, coordinates: Vector, held: Vector | None = None) -> AbstractModel:
-        """This model at another point. ``held`` holds parameters (not coordinates) at a value;
-        NaN leaves them free."""
+        """This model at other coordinates. ``held`` holds parameters (not coordinates) at a value;
+        NaN leaves a parameter free."""
 
     @abstractmethod
     def bounds(self) -> tuple[list[float], list[float]]:
@@ -85,12 +88,12 @@ class AbstractModel(eqx.Module):
 
     @abstractmethod
     def scales(self, coordinates: np.ndarray) -> np.ndarray:
-        """(p,) sizes that bring every coordinate's useful steps to order one. Unscaled,
+        """(p,) the size of a useful step in every coordinate, to divide by. Without scales,
         Levenberg-Marquardt needs several times the steps."""
 
     @abstractmethod
     def ranges(self, coordinates: np.ndarray) -> np.ndarray:
-        """How far each coordinate could plausibly lie from where it is."""
+        """(p,) the distance at which each coordinate could plausibly lie from its present value."""
 
     @abstractmethod
     def __call__(
@@ -102,8 +105,8 @@ class AbstractModel(eqx.Module):
         pixels: Int[Array, " n"] | None = None,
         texels: Texels | None = None,
     ) -> Float[Array, "..."]:
-        """The image; see ``Mitchell``."""
+        """The image; see ``Mitchell.__call__``."""
 
     def occlusion(self, mask: Float[Array, "h w"]) -> Float[Array, "h w"]:
-        """The mask that the light pass reads where ``mask`` is what was given."""
+        """The mask that the light pass reads, from the mask that was given: the same."""
         return mask

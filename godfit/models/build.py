@@ -1,4 +1,9 @@
-"""Models from settings: a shader or an atmosphere, with values or without."""
+"""Models from settings: Mitchell's sum, a scene's own mask, or daylight.
+
+A *template* is a model of the right kind at no particular point, as a fit starts from. The
+functions ``mitchell_at`` and ``daylight_at`` return a model at given values, as a rendering needs
+it.
+"""
 
 from __future__ import annotations
 
@@ -16,18 +21,58 @@ from godfit.models.mitchell import Mitchell
 from godfit.models.staged import Staged
 from godfit.scattering.parameters import is_light
 from godfit.scattering.taps import convention
-from godfit.scenes.scene import Scene
-from godfit.scenes.view import visible_in
+from godfit.scenes.labels import FIRST_OBJECT_LABEL
+from godfit.scenes.scene import MAX_SAMPLES, MIN_SAMPLES, Scene
+from godfit.scenes.view import visible_surfaces
 
-# Of Hoffman-Preetham where nothing is said: degrees, metres, taps that D is averaged over.
-FOV, DISTANCE, AVERAGED = 60.0, 1000.0, 100
+DEFAULT_FOV = 60.0
+"""Vertical field of view of a daylight picture, in degrees, where none is given: the default of
+Unity's cameras."""
+DEFAULT_DISTANCE = 1000.0
+"""Distance of a daylight picture's surfaces, in metres, where none is given: over a kilometre clear
+air begins to be visible."""
+DEFAULT_AVERAGE_SAMPLES = 100
+"""Taps that the occlusion of daylight is averaged over, where none are given; as many as a shader
+without a published number takes."""
+MAX_LIGHTS = 8
+"""Largest number of lights of one picture."""
+
+
+def check_values(model: AbstractModel, values: Mapping[str, float], option: str) -> None:
+    """Raise InputError, in the name of ``option``, for a value outside its parameter's bounds."""
+    for name, value in values.items():
+        row = model.parameters[name]
+        if not (row.lower <= value <= row.upper and np.isfinite(value)):
+            raise InputError(
+                f"{option}: expected {name} from {row.lower:g} to {row.upper:g}, got {value:g}"
+            )
+
+
+def _check_samples(samples: int | None) -> None:
+    if samples is not None and not MIN_SAMPLES <= samples <= MAX_SAMPLES:
+        raise InputError(
+            f"samples: expected a whole number from {MIN_SAMPLES} to {MAX_SAMPLES}, got {samples}"
+        )
+
+
+def mitchell_template(shader: str, samples: int | None, lights: int) -> Mitchell:
+    """Mitchell's sum with a number of ``lights``, at no particular point. ``samples`` None is the
+    shader's own number. Raises InputError for numbers out of range."""
+    _check_samples(samples)
+    if not 1 <= lights <= MAX_LIGHTS:
+        raise InputError(f"lights: expected 1 to {MAX_LIGHTS}, got {lights}")
+    return Mitchell(1.0, 0.9, 0.5, 0.5, [[0.5, 0.5]] * lights, shader, samples)
 
 
 def mitchell_at(
     settings: Mapping[str, Any], values: Mapping[str, float], lights: Sequence[tuple[float, float]]
 ) -> Mitchell:
-    """A model at a point. ``settings`` (of a fit) give way to ``values`` and ``lights``, and what
-    neither gives is the shader's default; a light without any is in the middle."""
+    """Mitchell's sum at a point.
+
+    ``values`` and ``lights`` (texture coordinates) come before ``settings`` (of a fit), and these
+    before the shader's defaults. A light that neither gives is in the middle of the picture. Raises
+    InputError for a value that is missing or out of bounds.
+    """
     shader = convention(settings.get("shader", "mitchell"))
     count = len(lights) or sum(is_light(k) for k in settings) // 2 or 1
     model = mitchell_template(shader.name, settings.get("samples"), count)
@@ -55,22 +100,17 @@ def mitchell_at(
     )
 
 
-def mitchell_template(shader: str, samples: int | None, lights: int) -> Mitchell:
-    """A model of the right kind, at no particular point."""
-    if samples is not None and not 2 <= samples <= 100_000:
-        raise InputError(f"samples: expected a whole number from 2 to 100000, got {samples}")
-    if not 1 <= lights <= 8:
-        raise InputError(f"lights: expected 1 to 8, got {lights}")
-    return Mitchell(1.0, 0.9, 0.5, 0.5, [[0.5, 0.5]] * lights, shader, samples)
-
-
-def check_values(model: AbstractModel, values: Mapping[str, float], option: str) -> None:
-    for name, value in values.items():
-        row = model.parameters[name]
-        if not (row.lower <= value <= row.upper and np.isfinite(value)):
-            raise InputError(
-                f"{option}: expected {name} from {row.lower:g} to {row.upper:g}, got {value:g}"
-            )
+def staged_template(model: AbstractModel, scene: Scene, names: Sequence[str]) -> Staged:
+    """Mitchell's sum over the mask of ``scene``, with the numbers ``names`` of the scene free.
+    Raises InputError for several lights, and for names that are unknown or given twice."""
+    assert isinstance(model, Mitchell)
+    if model.light.shape[0] != 1:
+        raise InputError("lights: expected 1 with a scene, which has one; fit with a mask instead")
+    if len(set(names)) < len(names):
+        raise InputError(f"free: expected each name once, got {', '.join(names)}")
+    for name in names:
+        scene.value(name)
+    return Staged(model, scene, names)
 
 
 def template(
@@ -93,10 +133,13 @@ def daylight_template(
     distance: float | np.ndarray | None,
     samples: int | None,
 ) -> tuple[HoffmanPreetham, tuple[str, ...]]:
-    """The model of Hoffman and Preetham at no particular point, and what was assumed for it."""
-    samples = AVERAGED if samples is None else samples
-    if not 2 <= samples <= 100_000:
-        raise InputError(f"samples: expected a whole number from 2 to 100000, got {samples}")
+    """The model of Hoffman and Preetham at no particular point, and notes on assumed numbers.
+
+    ``fov`` is in degrees, ``distance`` in metres, a number or (h, w). Raises InputError for numbers
+    out of range, and for a geometry that contradicts the scene.
+    """
+    samples = DEFAULT_AVERAGE_SAMPLES if samples is None else samples
+    _check_samples(samples)
     if scene is not None:
         if fov is not None:
             raise InputError("fov: expected none with a scene, whose camera has one; leave it out")
@@ -107,11 +150,12 @@ def daylight_template(
         assumed = tuple(
             f"{name}: {number:g} {unit} assumed; give --{name}"
             for name, number, unit, value in (
-                ("fov", FOV, "degrees", fov), ("distance", DISTANCE, "metres", distance)
+                ("fov", DEFAULT_FOV, "degrees", fov),
+                ("distance", DEFAULT_DISTANCE, "metres", distance),
             )
             if value is None
-        )  # fmt: skip
-        view = View(DISTANCE if distance is None else distance, fov or FOV)
+        )
+        view = View(DEFAULT_DISTANCE if distance is None else distance, fov or DEFAULT_FOV)
     return HoffmanPreetham(Air(), [0.5, 0.5], view, samples), assumed
 
 
@@ -121,8 +165,8 @@ def daylight_at(
     lights: Sequence[tuple[float, float]],
     scene: Scene | None,
 ) -> HoffmanPreetham:
-    """Hoffman and Preetham's model at a point, as ``model_from``. Raises InputError where the sun's
-    irradiance or the air's scale, which have no default, are not given."""
+    """The model of Hoffman and Preetham at a point; arguments as in ``mitchell_at``. Raises
+    InputError where the sun's irradiance or the air's scale, which have no default, are missing."""
     fov = None if scene is not None else settings.get("fov")
     model, _ = daylight_template(scene, fov, settings.get("distance"), settings.get("samples"))
     places: dict[str, float] = {}
@@ -145,28 +189,20 @@ def daylight_at(
 
 
 def view_of_scene(scene: Scene, distance: float | None = None) -> View:
-    """How the scene's camera sees it: what lies where nothing is drawn, and the light, which stands
-    for the sun, are ``distance`` away, or at ``camera.far``."""
-    seen = visible_in(scene)
-    label, depth = np.asarray(seen.label), np.asarray(seen.depth)
+    """The view of the scene's camera: directions, and distances to the surfaces along the rays.
+
+    Pixels without a surface, and those of the light, which stands for the sun, are ``distance``
+    away, by default ``camera.far``.
+    """
+    surfaces = visible_surfaces(scene)
+    label, depth = np.asarray(surfaces.label), np.asarray(surfaces.depth)
     sky = scene.camera.far if distance is None else distance
     h, w = scene.size
     flat = View(1.0, float(scene.camera.fov_y))
-    direction = np.asarray(flat.seen((h, w), jnp.arange(h * w))[1]).reshape(h, w, 3)
-    # Depth is along the view, distance along the ray.
-    along = np.where(label >= 2, depth, 1.0) / -direction[..., 2]
+    direction = np.asarray(flat.rays((h, w), jnp.arange(h * w))[1]).reshape(h, w, 3)
+    is_object = label >= FIRST_OBJECT_LABEL
+    # Depth is along the camera's axis, distance along the ray.
+    along = np.where(is_object, depth, 1.0) / -direction[..., 2]
     up = np.asarray(scene.camera_axes(), float) @ np.array([0.0, 1.0, 0.0])
-    away = np.where(label >= 2, np.minimum(along, sky), sky).astype(np.float32)
+    away = np.where(is_object, np.minimum(along, sky), sky).astype(np.float32)
     return View(away, float(scene.camera.fov_y), (up[0], up[1], up[2]))
-
-
-def staged_template(model: AbstractModel, scene: Scene, names: Sequence[str]) -> Staged:
-    """The model that draws its own mask, ``names`` of the scene free."""
-    assert isinstance(model, Mitchell)
-    if model.light.shape[0] != 1:
-        raise InputError("lights: expected 1 with a scene, which has one; fit with a mask instead")
-    if len(set(names)) < len(names):
-        raise InputError(f"free: expected each name once, got {', '.join(names)}")
-    for name in names:
-        scene.value(name)
-    return Staged(model, scene, names)

@@ -1,7 +1,7 @@
 """The daylight of Hoffman and Preetham behind occluders: L(s, theta, phi) = (1 - D) L(s, theta).
 
-Mitchell's equation 3 (GPU Gems 3, ch. 13): what the analytic model gives for a pixel, less what the
-occluders on the way to the sun keep from it, D being read from a mask by the averaging taps. The
+This is Mitchell's equation 3 (GPU Gems 3, ch. 13): the analytic radiance of a pixel, less the share
+D that occluders on the way to the sun keep from it. Averaging taps estimate D from a mask. The
 physics is in ``atmosphere.py``.
 """
 
@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from godfit.models.atmosphere import LEAST_TURBIDITY, Air, hoffman_preetham, zenith_angle
+from godfit.models.atmosphere import MIN_TURBIDITY, Air, hoffman_preetham, zenith_angle
 from godfit.models.base import AbstractModel, Vector
 from godfit.scattering.parameters import Parameter, light_parameters
 from godfit.scattering.radial import radial_sum
@@ -23,22 +23,26 @@ from godfit.scattering.radial.exact import at_run_time
 from godfit.scattering.taps import Count, averaging_taps
 from godfit.scattering.upsample import Texels, at_pixels
 
-AIR = (
+AIR_PARAMETERS = (
     Parameter("e_sun", "E", "1", 0.0, math.inf, "the sun's irradiance above the air"),
-    Parameter("scale", "a", "m per unit", 0.0, math.inf, "air that a unit of distance stands for"),
-    Parameter("turbidity", "T", "1", LEAST_TURBIDITY, 64.0, "haze: 1 none, 2 clear, 6 hazy"),
+    Parameter("scale", "a", "m per unit", 0.0, math.inf, "metres of air in a unit of distance"),
+    Parameter("turbidity", "T", "1", MIN_TURBIDITY, 64.0, "haze: 1 none, 2 clear, 6 hazy"),
     Parameter("g", "g", "1", -0.99, 0.99, "mean cosine of the haze's scattering"),
 )
-# Depths below this (of the middle wavelength) cannot be told from none.
-LEAST_DEPTH = 1e-4
+"""The parameters of ``Air`` that a fit can free."""
+MIN_OPTICAL_DEPTH = 1e-4
+"""Least optical depth of the typical distance at the middle wavelength: a thinner air differs from
+none by less than a level."""
+TINY_OPTICAL_DEPTH = 1e-9
+"""Least optical depth that a gain is divided by."""
 
 
 class View(eqx.Module):
-    """How a picture looks at the world: the vertical field of view (degrees), the world's up in the
-    camera's axes (right, up, back), and ``distance``, (h, w) or (), to what is seen.
+    """The geometry of a picture: the vertical field of view (degrees), the world's up in the
+    camera's axes (right, up, back), and ``distance``, (h, w) or (), of the surfaces along the rays.
 
-    ``distance`` may be of another size than the picture and is read from the nearest pixel;
-    ``typical``, its median, is what depths are measured by.
+    ``distance`` may have another size than the picture, and is read at the nearest pixel. Optical
+    depths are those of ``typical``, its median.
     """
 
     distance: Float[Array, "..."]
@@ -52,14 +56,16 @@ class View(eqx.Module):
         self.fov_y, self.up = jnp.asarray(fov_y, float), jnp.asarray(up, float)
 
     def direction(self, u, v, aspect: float) -> Float[Array, "... 3"]:
-        """Unit vectors towards texture coordinates, in the camera's axes."""
+        """Unit vectors towards texture coordinates, in the camera's axes; ``aspect`` is width over
+        height."""
         tall = jnp.tan(jnp.deg2rad(self.fov_y) / 2)
         x, y = (2 * u - 1) * (aspect * tall), (2 * v - 1) * tall
         along = jnp.stack([x, y, -jnp.ones_like(x)], -1)
         return along / jnp.linalg.norm(along, axis=-1, keepdims=True)
 
-    def seen(self, size: tuple[int, int], pixels: Int[Array, " n"]):
-        """(n,) distances and (n, 3) directions of the pixels of a picture of ``size``."""
+    def rays(self, size: tuple[int, int], pixels: Int[Array, " n"]):
+        """Distances (n,) and directions (n, 3) of the row-major ``pixels`` of a picture of
+        ``size``."""
         h, w = size
         row, column = pixels // w, pixels % w
         distance = self.distance
@@ -72,11 +78,12 @@ class View(eqx.Module):
 
 
 class HoffmanPreetham(AbstractModel):
-    """Parameters are those of ``Air`` and the sun's place in the picture, ``light`` (1, 2).
+    """Daylight behind occluders. Parameters are those of ``Air`` and the sun's place in the
+    picture, ``light`` (1, 2); ``samples`` is the number of averaging taps.
 
-    The mask is 1 where the sky is seen and 0 where something occludes it. Fit coordinates, one for
+    The mask is 1 where the sky is open and 0 where an object occludes it. Fit coordinates, one for
     each parameter and in their order: gain = e_sun depth; depth, the optical depth of the typical
-    distance at 570 nm; turbidity; g; the light. In thin air only the gain shows.
+    distance at 570 nm; turbidity; g; the light. Thin air depends on the gain alone.
     """
 
     name: ClassVar[str] = "hoffman-preetham"
@@ -106,7 +113,7 @@ class HoffmanPreetham(AbstractModel):
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        return {p.name: p for p in AIR + light_parameters(1)}
+        return {p.name: p for p in AIR_PARAMETERS + light_parameters(1)}
 
     @property
     def defaults(self) -> dict[str, float]:
@@ -125,16 +132,19 @@ class HoffmanPreetham(AbstractModel):
     def moved(self, coordinates: Vector, held: Vector | None = None) -> HoffmanPreetham:
         if held is None:
             held = jnp.full_like(coordinates, jnp.nan)
-        gain, depth, turbidity, g = coordinates[:4]
-        turbidity = jnp.where(jnp.isnan(held[2]), turbidity, held[2])
-        g = jnp.where(jnp.isnan(held[3]), g, held[3])
-        of_one = Air(turbidity, g, 1.0, 1.0, self.air.haze, self.air.phase).beta_ex[1]
-        of_one = of_one * self.view.typical.astype(of_one.dtype)
-        scale = jnp.where(jnp.isnan(held[1]), depth / of_one, held[1])
-        deep = scale * of_one
-        e_sun = gain / jnp.where(jnp.abs(deep) > 1e-9, deep, 1e-9)
-        e_sun = jnp.where(jnp.isnan(held[0]), e_sun, held[0])
-        light = jnp.where(jnp.isnan(held[4:]), coordinates[4:], held[4:])
+        count = len(AIR_PARAMETERS)
+        gain, depth, turbidity, g = coordinates[:count]
+        held_sun, held_scale, held_turbidity, held_g = held[:count]
+        turbidity = jnp.where(jnp.isnan(held_turbidity), turbidity, held_turbidity)
+        g = jnp.where(jnp.isnan(held_g), g, held_g)
+        # The optical depth at a scale of 1, in which it is linear.
+        unit_depth = Air(turbidity, g, 1.0, 1.0, self.air.haze, self.air.phase).beta_ex[1]
+        unit_depth = unit_depth * self.view.typical.astype(unit_depth.dtype)
+        scale = jnp.where(jnp.isnan(held_scale), depth / unit_depth, held_scale)
+        depth = scale * unit_depth
+        divisor = jnp.where(jnp.abs(depth) > TINY_OPTICAL_DEPTH, depth, TINY_OPTICAL_DEPTH)
+        e_sun = jnp.where(jnp.isnan(held_sun), gain / divisor, held_sun)
+        light = jnp.where(jnp.isnan(held[count:]), coordinates[count:], held[count:])
         return eqx.tree_at(
             lambda m: (m.air.e_sun, m.air.scale, m.air.turbidity, m.air.g, m.light),
             self,
@@ -143,8 +153,9 @@ class HoffmanPreetham(AbstractModel):
 
     def bounds(self) -> tuple[list[float], list[float]]:
         inf = math.inf
-        lower = [0.0, LEAST_DEPTH, *(p.lower for p in AIR[2:]), -inf, -inf]
-        return lower, [inf, inf, *(p.upper for p in AIR[2:]), inf, inf]
+        haze = AIR_PARAMETERS[2:]
+        lower = [0.0, MIN_OPTICAL_DEPTH, *(p.lower for p in haze), -inf, -inf]
+        return lower, [inf, inf, *(p.upper for p in haze), inf, inf]
 
     def linear(self) -> np.ndarray:
         return np.arange(6) == 0
@@ -155,7 +166,7 @@ class HoffmanPreetham(AbstractModel):
 
     def ranges(self, coordinates: np.ndarray) -> np.ndarray:
         gain, depth, *_ = coordinates
-        # Air that cannot be told from none leaves its scale open: only the gain is known then.
+        # In air as thin as none the scale is undetermined, and only the gain is known.
         return np.array([max(gain, 0.05), depth, 3.0, 0.5, 0.5, 0.5])
 
     def openness(
@@ -164,7 +175,7 @@ class HoffmanPreetham(AbstractModel):
         at: Float[Array, "*points 2"] | None = None,
         method: str = "auto",
     ) -> Float[Array, "..."]:
-        """1 - D, as ``Mitchell.light_pass``."""
+        """1 - D, the open share of the way to the sun; arguments as in ``Mitchell.light_pass``."""
         return radial_sum(mask, self.light[0], averaging_taps(self.samples), at=at, method=method)
 
     def __call__(
@@ -178,7 +189,7 @@ class HoffmanPreetham(AbstractModel):
         method: str = "auto",
     ) -> Float[Array, "..."]:
         """(H, W, 3) or (n, 3), linear, not clamped; see ``Mitchell.__call__``. ``background`` is
-        what would be seen without air, L_0; None is black."""
+        the picture without air, L_0; None is black."""
         size = (mask.shape[0], mask.shape[1]) if size is None else size
 
         def unoccluded(mask, at):
@@ -187,7 +198,7 @@ class HoffmanPreetham(AbstractModel):
         lit = at_pixels(unoccluded, mask, size, pixels, texels)
         lit = lit.reshape(-1, mask.shape[2] if mask.ndim == 3 else 1)
         where = jnp.arange(size[0] * size[1]) if pixels is None else pixels
-        distance, direction = self.view.seen(size, where)
+        distance, direction = self.view.rays(size, where)
         u, v = self.light[0]
         sun = self.view.direction(u, v, size[1] / size[0])
         zenith = zenith_angle(sun, self.view.up)

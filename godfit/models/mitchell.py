@@ -1,15 +1,11 @@
-"""Models: parameters + mask -> image.
-
-A model is a module whose fields are its parameters. ``godfit.fit`` never names one: it moves the
-vector of ``coordinates`` and asks the model for the image.
-"""
+"""Mitchell's screen-space scattering sum: parameters + mask -> image."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
 import math
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -18,12 +14,24 @@ from jaxtyping import Array, Float, Int
 from scipy import optimize
 
 from godfit.models.base import FAINTEST, AbstractModel, Vector
+from godfit.models.coordinates import DENSITY, EXPOSURE, GAIN, KAPPA, SCATTERING_COUNT
 from godfit.runtime.device import on_device
 from godfit.scattering.parameters import SCATTERING, Parameter, table
 from godfit.scattering.radial import radial_sum
 from godfit.scattering.radial.exact import at_run_time
 from godfit.scattering.taps import Convention, Count, Taps, convention
 from godfit.scattering.upsample import Texels, at_pixels
+
+MIN_DENSITY = 1e-3
+"""Least density, a share of the ray: over a shorter ray neither decay nor weight has an effect."""
+MIN_RESAMPLED_DENSITY = 0.25
+"""Least density of a model with another number of samples, as a share of the old density."""
+DENSITY_TOLERANCE = 1e-9
+"""Absolute error of that density."""
+TINY_DECAY = 1e-12
+"""Least decay in the logarithm of ``resampled``: a decay of 0 has none."""
+TINY_SUM = 1e-30
+"""Least sum of weights to divide by: a weight of 0 is allowed."""
 
 
 class Mitchell(AbstractModel):
@@ -61,6 +69,7 @@ class Mitchell(AbstractModel):
 
     @property
     def convention(self) -> Convention:
+        """The convention of the shader."""
         return convention(self.shader)
 
     @property
@@ -81,7 +90,8 @@ class Mitchell(AbstractModel):
         return dict(self.convention.defaults)
 
     def values(self) -> dict[str, Float[Array, ""]]:
-        numbers = (self.exposure, self.decay, self.density, self.weight, *self.light.reshape(-1))
+        scattering = (self.exposure, self.decay, self.density, self.weight)
+        numbers = (*scattering, *self.light.reshape(-1))
         return dict(zip(self.parameters, numbers, strict=True))
 
     def coordinates(self) -> Float[Array, " p"]:
@@ -93,16 +103,17 @@ class Mitchell(AbstractModel):
     def moved(self, coordinates: Vector, held: Vector | None = None) -> Mitchell:
         if held is None:
             held = jnp.full_like(coordinates, jnp.nan)
-        free = jnp.isnan(held)
-        exposure, kappa, density, gain = coordinates[:4]
-        exposure = jnp.where(free[0], exposure, held[0])
-        density = jnp.where(free[2], density, held[2])
+        free, lights = jnp.isnan(held), slice(SCATTERING_COUNT, None)
+        exposure, kappa, density, gain = coordinates[:SCATTERING_COUNT]
+        exposure = jnp.where(free[EXPOSURE], exposure, held[EXPOSURE])
+        density = jnp.where(free[DENSITY], density, held[DENSITY])
         step = density / self.samples
-        decay = jnp.where(free[1], jnp.exp(-kappa * step), held[1])
+        # The parameters decay and weight have the places of the coordinates kappa and gain.
+        decay = jnp.where(free[KAPPA], jnp.exp(-kappa * step), held[KAPPA])
         # With no exposure there is no light pass, whatever the weight.
         shown = jnp.where(exposure > FAINTEST, exposure, 1.0)
-        weight = jnp.where(free[3], gain * step / shown, held[3])
-        light = jnp.where(free[4:], coordinates[4:], held[4:]).reshape(-1, 2)
+        weight = jnp.where(free[GAIN], gain * step / shown, held[GAIN])
+        light = jnp.where(free[lights], coordinates[lights], held[lights]).reshape(-1, 2)
         return eqx.tree_at(
             lambda m: (m.exposure, m.decay, m.density, m.weight, m.light),
             self,
@@ -111,26 +122,27 @@ class Mitchell(AbstractModel):
 
     def bounds(self) -> tuple[list[float], list[float]]:
         inf = float("inf")
-        lights = 2 * self.light.shape[0]
-        # kappa >= 0 is decay <= 1. Rays shorter than a thousandth show nothing of decay or weight.
-        return [0.0, 0.0, 1e-3, 0.0] + [-inf] * lights, [inf, inf, 1.0, inf] + [inf] * lights
+        lights = self.light.size
+        # kappa >= 0 is decay <= 1.
+        lower, upper = [0.0, 0.0, MIN_DENSITY, 0.0], [inf, inf, 1.0, inf]
+        return lower + [-inf] * lights, upper + [inf] * lights
 
     def linear(self) -> np.ndarray:
-        return np.isin(np.arange(4 + 2 * self.light.shape[0]), (0, 3))
+        return np.isin(np.arange(SCATTERING_COUNT + self.light.size), (EXPOSURE, GAIN))
 
     def scales(self, coordinates: np.ndarray) -> np.ndarray:
         floor = np.full(coordinates.shape, 0.1, np.float32)
-        floor[[0, 3]] = 1e-3
+        floor[[EXPOSURE, GAIN]] = 1e-3
         return np.abs(coordinates) * np.float32(0.1) + floor
 
     def ranges(self, coordinates: np.ndarray) -> np.ndarray:
-        exposure, kappa, _, gain = coordinates[:4]
-        known = [max(exposure, 0.02), max(kappa, 2.0), 0.5, max(gain, 0.05)]
-        return np.array(known + [0.5] * 2 * self.light.shape[0])
+        exposure, kappa, _, gain = coordinates[:SCATTERING_COUNT]
+        scattering = [max(exposure, 0.02), max(kappa, 2.0), 0.5, max(gain, 0.05)]
+        return np.array(scattering + [0.5] * self.light.size)
 
     @property
     def taps(self) -> tuple[Taps, ...]:
-        """Those of each of the shader's passes, for every light."""
+        """The taps of each of the shader's passes, the same for every light."""
         numbers = (self.exposure, self.decay, self.density, self.weight)
         return self.convention.taps(*numbers, self.samples)
 
@@ -140,7 +152,7 @@ class Mitchell(AbstractModel):
         at: Float[Array, "*points 2"] | None = None,
         method: str = "auto",
     ) -> Float[Array, "..."]:
-        """The scattering pass alone, unclamped: at ``at``, (..., 2) columns and rows of the mask,
+        """The scattering pass alone, not clamped: at ``at``, (..., 2) columns and rows of the mask,
         or at every pixel of the mask."""
         shader = self.convention
         passes = self.taps
@@ -173,8 +185,8 @@ class Mitchell(AbstractModel):
           lower resolution: it is rendered at the mask's size, clamped to [0, 1] as its 8-bit
           texture is, and read bilinearly.
         - `pixels`: (n,) row-major indices of the pixels wanted; by default all.
-        - `texels`: what these pixels read of a smaller light pass, all of which is rendered where
-          this is not given.
+        - `texels`: the texels of a smaller light pass that these pixels need. Without it the
+          whole light pass is rendered.
         - `method`: see `godfit.scattering.radial.radial_sum`.
 
         **Returns:** (H, W) or (n,), then the channels of the mask or the background.
@@ -204,15 +216,16 @@ class Mitchell(AbstractModel):
 
 
 def resampled(model: Mitchell, samples: int) -> Mitchell:
-    """``model`` with another number of samples and parameters that make up for it; density does
-    not go beyond 1."""
+    """``model`` with another number of samples, and with decay, density and weight that make up for
+    it: the attenuation, the centroid and the sum of its taps stay the same. Density stays at most
+    1, where the centroid may differ."""
     if samples == model.samples or model.convention.box:
         return dataclasses.replace(model, samples=samples)
     density = float(model.density)
-    kappa = -model.samples * math.log(max(float(model.decay), 1e-12)) / density
+    kappa = -model.samples * math.log(max(float(model.decay), TINY_DECAY)) / density
     total, centroid = _moments(model)
 
-    def at(rho: float) -> Mitchell:
+    def at_density(rho: float) -> Mitchell:
         decay = math.exp(-kappa * rho / samples)
         return eqx.tree_at(
             lambda m: (m.decay, m.density),
@@ -220,23 +233,24 @@ def resampled(model: Mitchell, samples: int) -> Mitchell:
             (jnp.float32(decay), jnp.float32(rho)),
         )
 
-    def off(rho: float) -> float:
-        return _moments(at(rho))[1] - centroid
+    def centroid_error(rho: float) -> float:
+        return _moments(at_density(rho))[1] - centroid
 
-    low, high = 0.25 * density, 1.0
-    if off(low) < 0 < off(high):
-        rho = float(optimize.brentq(off, low, high, xtol=1e-9))  # pyright: ignore[reportArgumentType]
+    low, high = MIN_RESAMPLED_DENSITY * density, 1.0
+    if centroid_error(low) < 0 < centroid_error(high):
+        root: Any = optimize.brentq(centroid_error, low, high, xtol=DENSITY_TOLERANCE)
+        rho = float(root)
     else:
-        rho = high if off(high) <= 0 else low
-    other = at(rho)
-    weight = float(model.weight) * total / max(_moments(other)[0], 1e-30)
+        rho = high if centroid_error(high) <= 0 else low
+    other = at_density(rho)
+    weight = float(model.weight) * total / max(_moments(other)[0], TINY_SUM)
     return eqx.tree_at(lambda m: m.weight, other, jnp.float32(weight))
 
 
 def _moments(model: Mitchell) -> tuple[float, float]:
-    """Sum of the taps' weights but for the pixel's own, and their centroid along the ray."""
+    """The sum of the taps' weights without the pixel's own, and their centroid along the ray."""
     (taps,) = model.taps
     c = float(taps.first) * float(taps.ratio) ** np.arange(taps.count, dtype=float)
     t = float(taps.step) * np.arange(1, taps.count + 1)
     total = float(c.sum())
-    return total, float(c @ t) / max(total, 1e-30)
+    return total, float(c @ t) / max(total, TINY_SUM)

@@ -1,7 +1,7 @@
-"""A scene's own mask under Mitchell's sum: the light, the camera and the objects are fitted too.
+"""Mitchell's sum over a scene's own mask: the light, the camera and the objects are fitted too.
 
-The mask follows the scene through ``rasterise``, and the light's place on the screen is the
-projection of its place in the world, so that a picture's rays and its shapes are read together.
+The mask follows the scene through ``rasterise``. The light's place on the screen is the projection
+of its place in the world, so that the rays and the shapes of a picture determine the same numbers.
 """
 
 from __future__ import annotations
@@ -14,28 +14,34 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from godfit.models.base import AbstractModel, Vector
+from godfit.models.base import Vector
+from godfit.models.coordinates import EXPOSURE, GAIN, SCATTERING_COUNT
 from godfit.models.mitchell import Mitchell
+from godfit.models.shaded import AbstractShaded
 from godfit.scattering.parameters import SCATTERING, Parameter
-from godfit.scattering.taps import Convention, Count
 from godfit.scattering.upsample import Texels
 from godfit.scenes.raster import on_screen, rasterise
 from godfit.scenes.scene import Scene
 from godfit.scenes.view import resized
 
+MAX_OFFSET = 1.0
+"""Largest offset of a vector, in its unit: what a picture shows does not move by more than the
+picture's height, or turn by more than a radian."""
+MAX_SIZE_OFFSET = 0.9
+"""Largest offset of a size, in its own start: a size stays above a tenth of it."""
 
-class Staged(AbstractModel):
+
+class Staged(AbstractShaded):
     """Mitchell's sum over the mask that a scene draws.
 
-    ``shading`` holds exposure, decay, density and weight (its light is not used); ``scene`` is
-    where the fit starts; ``offsets`` (g,) says how far each number named in ``free`` has moved, in
-    units that make a picture's height, a radian or the start's own size 1. Coordinates are the
-    first four of ``Mitchell`` and the offsets; parameters are in the scene's units.
+    ``shading`` holds exposure, decay, density and weight; its light is not used. ``scene`` is the
+    start of the fit. ``offsets`` (g,) are the distances of the numbers named in ``free`` from the
+    start, in units in which a picture's height, a radian or the start's own size is 1. Coordinates
+    are the scattering coordinates of ``Mitchell``, then the offsets; parameters are in the scene's
+    units.
     """
 
     name: ClassVar[str] = Mitchell.name
-    held_last: ClassVar[str] = Mitchell.held_last
-    product: ClassVar[tuple[str, str]] = Mitchell.product
     banded: ClassVar[bool] = True
     channels: ClassVar[int] = 1
 
@@ -52,23 +58,12 @@ class Staged(AbstractModel):
         self.offsets = jnp.zeros(count) if offsets is None else offsets
 
     @property
-    def settings(self) -> dict[str, str | int | float]:
-        return self.shading.settings
-
-    @property
-    def convention(self) -> Convention:
-        return self.shading.convention
-
-    @property
     def used(self) -> np.ndarray:
-        return np.concatenate([self.shading.used[:4], np.ones(self.offsets.size, bool)])
+        scattering = self.shading.used[:SCATTERING_COUNT]
+        return np.concatenate([scattering, np.ones(self.offsets.size, bool)])
 
     @property
-    def samples(self) -> Count:
-        return self.shading.samples
-
-    @property
-    def light(self) -> Float[Array, "1 2"]:
+    def light(self) -> Float[Array, "1 2"]:  # pyright: ignore[reportIncompatibleVariableOverride]
         return on_screen(self.staged())[None]
 
     @property
@@ -83,17 +78,17 @@ class Staged(AbstractModel):
 
     @property
     def defaults(self) -> dict[str, float]:
-        geometry = list(self.parameters)[4:]
-        start = map(float, self._base())
+        geometry = list(self.parameters)[SCATTERING_COUNT:]
+        start = map(float, self._start())
         return dict(self.shading.defaults) | dict(zip(geometry, start, strict=True))
 
     def values(self) -> dict[str, Float[Array, ""]]:
-        four = list(self.shading.values().values())[:4]
-        numbers = [*four, *(self._base() + self.offsets * self._units())]
+        scattering = list(self.shading.values().values())[:SCATTERING_COUNT]
+        numbers = [*scattering, *self._geometry()]
         return dict(zip(self.parameters, numbers, strict=True))
 
     def coordinates(self) -> Float[Array, " p"]:
-        return jnp.concatenate([self.shading.coordinates()[:4], self.offsets])
+        return jnp.concatenate([self.shading.coordinates()[:SCATTERING_COUNT], self.offsets])
 
     def moved(self, coordinates: Vector, held: Vector | None = None) -> Staged:
         if held is None:
@@ -101,38 +96,41 @@ class Staged(AbstractModel):
         nowhere = jnp.full(2, jnp.nan, coordinates.dtype)
         light = self.shading.light.reshape(-1)[:2].astype(coordinates.dtype)
         shading = self.shading.moved(
-            jnp.concatenate([coordinates[:4], light]), jnp.concatenate([held[:4], nowhere])
+            jnp.concatenate([coordinates[:SCATTERING_COUNT], light]),
+            jnp.concatenate([held[:SCATTERING_COUNT], nowhere]),
         )
+        geometry = held[SCATTERING_COUNT:]
         offsets = jnp.where(
-            jnp.isnan(held[4:]),
-            self._across(jnp.asarray(coordinates[4:])),
-            (held[4:] - self._base()) / self._units(),
+            jnp.isnan(geometry),
+            self._across_view(jnp.asarray(coordinates[SCATTERING_COUNT:])),
+            (geometry - self._start()) / self._units(),
         )
         return eqx.tree_at(lambda m: (m.shading, m.offsets), self, (shading, offsets))
 
     def bounds(self) -> tuple[list[float], list[float]]:
         lower, upper = self.shading.bounds()
-        # What is looked for is in the picture: nothing moves by more than a picture's height.
         reach = [
-            0.9 if self.scene.value(name).ndim == 0 else 1.0
+            MAX_SIZE_OFFSET if self.scene.value(name).ndim == 0 else MAX_OFFSET
             for name in self.free
             for _ in range(self.scene.value(name).size)
         ]
-        return lower[:4] + [-r for r in reach], upper[:4] + reach
+        lower, upper = lower[:SCATTERING_COUNT], upper[:SCATTERING_COUNT]
+        return lower + [-r for r in reach], upper + reach
 
     def linear(self) -> np.ndarray:
-        return np.isin(np.arange(4 + self.offsets.size), (0, 3))
+        return np.isin(np.arange(SCATTERING_COUNT + self.offsets.size), (EXPOSURE, GAIN))
 
     def scales(self, coordinates: np.ndarray) -> np.ndarray:
         return self.shading.scales(coordinates)
 
     def ranges(self, coordinates: np.ndarray) -> np.ndarray:
-        known = self.shading.ranges(np.concatenate([coordinates[:4], np.zeros(2)]))[:4]
-        return np.concatenate([known, np.full(len(coordinates) - 4, 0.5)])
+        scattering, light = coordinates[:SCATTERING_COUNT], np.zeros(2)
+        known = self.shading.ranges(np.concatenate([scattering, light]))[:SCATTERING_COUNT]
+        return np.concatenate([known, np.full(len(coordinates) - SCATTERING_COUNT, 0.5)])
 
     def staged(self) -> Scene:
-        """The scene with its numbers where this model puts them."""
-        numbers, at = self._base() + self.offsets * self._units(), 0
+        """The scene with this model's numbers."""
+        numbers, at = self._geometry(), 0
         values = {}
         for name in self.free:
             start = self.scene.value(name)
@@ -150,17 +148,23 @@ class Staged(AbstractModel):
         texels: Texels | None = None,
         method: str = "auto",
     ) -> Float[Array, "..."]:
-        """See ``Mitchell``. Of ``mask`` only the shape counts: the scene is drawn at that size."""
+        """The image; see ``Mitchell.__call__``. Only the shape of ``mask`` counts: the scene is
+        drawn at that size."""
         scene = self.staged()
         drawn = rasterise(resized(scene, (mask.shape[0], mask.shape[1])))
-        # A light pass reads bytes; the derivative is that of the mask before they were rounded.
+        # A light pass reads an 8-bit mask. The derivative is that of the mask before it is rounded.
         drawn = drawn + jax.lax.stop_gradient(jnp.round(255 * drawn) / 255 - drawn)
         lit = eqx.tree_at(lambda m: m.light, self.shading, on_screen(scene)[None])
         return lit(drawn, background, size=size, pixels=pixels, texels=texels, method=method)
 
-    def _across(self, offsets: Float[Array, " g"]) -> Float[Array, " g"]:
-        """A light's distance and radius trade exactly: where both are free it keeps the distance at
-        which it starts, or it would drift until it touches the objects."""
+    def _geometry(self) -> Float[Array, " g"]:
+        """The free numbers of the scene, in its units."""
+        return self._start() + self.offsets * self._units()
+
+    def _across_view(self, offsets: Float[Array, " g"]) -> Float[Array, " g"]:
+        """The offsets without the light's motion along the view, where position and radius of the
+        light are both free: distance and radius trade exactly, and the light would drift until it
+        touches the objects."""
         if not {"light.position", "light.radius"} <= set(self.free):
             return offsets
         first = sum(
@@ -169,12 +173,14 @@ class Staged(AbstractModel):
         away = jax.lax.stop_gradient(self.scene.camera_axes()[2]).astype(offsets.dtype)
         return offsets.at[first : first + 3].add(-away * (away @ offsets[first : first + 3]))
 
-    def _base(self) -> Float[Array, " g"]:
+    def _start(self) -> Float[Array, " g"]:
+        """The free numbers of the scene at the start of the fit."""
         return jax.lax.stop_gradient(
             jnp.concatenate([self.scene.value(name).reshape(-1) for name in self.free])
         )
 
     def _units(self) -> Float[Array, " g"]:
+        """The scene's units in an offset of 1, for each free number."""
         sizes = [
             jnp.broadcast_to(_unit(self.scene, name), self.scene.value(name).shape).reshape(-1)
             for name in self.free
@@ -183,7 +189,8 @@ class Staged(AbstractModel):
 
 
 def _unit(scene: Scene, name: str) -> Float[Array, ""]:
-    """What a step of one means for a number of the scene."""
+    """The scene's units in an offset of 1 of the number ``name``: a picture's height at the
+    number's distance for places, a radian for rotations, the number itself for sizes."""
     value, camera = scene.value(name), scene.camera
     height = 2 * jnp.tan(jnp.deg2rad(camera.fov_y) / 2)
     if name == "camera.position":

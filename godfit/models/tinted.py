@@ -1,4 +1,4 @@
-"""Mitchell's sum with a light of a colour: the light pass of each channel is scaled by itself."""
+"""Mitchell's sum with a coloured light: the light pass of each channel has its own scale."""
 
 from __future__ import annotations
 
@@ -10,26 +10,25 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from godfit.models.base import AbstractModel, Vector
+from godfit.models.base import Vector
 from godfit.models.mitchell import Mitchell
+from godfit.models.shaded import AbstractShaded
 from godfit.runtime.device import on_device
 from godfit.scattering.parameters import Parameter
-from godfit.scattering.taps import Count
 from godfit.scattering.upsample import Texels, at_pixels
 
-TINT = (
+TINT_PARAMETERS = (
     Parameter("red", "r", "of green", 0.0, math.inf, "the light's red against its green"),
     Parameter("blue", "b", "of green", 0.0, math.inf, "the light's blue against its green"),
 )
+"""The parameters of a tint. Green is 1: its scale is the exposure."""
 
 
-class Tinted(AbstractModel):
+class Tinted(AbstractShaded):
     """``shading`` with ``tint`` (2,), red and blue of the light pass against green. Parameters and
-    coordinates are those of ``shading`` and then the tint."""
+    coordinates are those of ``shading``, then the tint."""
 
     name: ClassVar[str] = "mitchell-tinted"
-    held_last: ClassVar[str] = "weight"
-    product: ClassVar[tuple[str, str]] = ("exposure", "weight")
     banded: ClassVar[bool] = False
     channels: ClassVar[int] = 3
 
@@ -40,20 +39,12 @@ class Tinted(AbstractModel):
         self.shading, self.tint = shading, on_device(tint, float)
 
     @property
-    def samples(self) -> Count:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.shading.samples
-
-    @property
     def light(self) -> Float[Array, "lights 2"]:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.shading.light
 
     @property
-    def settings(self) -> dict[str, str | int | float]:
-        return self.shading.settings
-
-    @property
     def parameters(self) -> dict[str, Parameter]:
-        return self.shading.parameters | {p.name: p for p in TINT}
+        return self.shading.parameters | {p.name: p for p in TINT_PARAMETERS}
 
     @property
     def defaults(self) -> dict[str, float]:
@@ -99,7 +90,7 @@ class Tinted(AbstractModel):
         pixels: Int[Array, " n"] | None = None,
         texels: Texels | None = None,
     ) -> Float[Array, "..."]:
-        """(H, W, 3) or (n, 3); see ``Mitchell.__call__``."""
+        """(H, W, 3) or (n, 3), linear, not clamped; see ``Mitchell.__call__``."""
         light = at_pixels(self.shading.light_pass, mask, size, pixels, texels)
         if mask.ndim == 2:
             light = light[..., None]

@@ -1,16 +1,16 @@
-"""Single scattering marched through a scene with shadows: what the other models are judged by.
+"""Ray marching of single scattering through a scene with shadows: the reference for other models.
 
-Of the light that travels along a view ray, L = int_0^D beta(theta) E(s) V(s) F(s) ds, where V says
-whether the source is seen from there (the single-scattering integral: Pharr, Jakob & Humphreys,
+The radiance of a view ray is L = int_0^D beta(theta) E(s) V(s) F(s) ds, where V(s) is 1 where the
+source is visible and 0 in shadow (the single-scattering integral: Pharr, Jakob & Humphreys,
 Physically Based Rendering, 2016, section 15.3). The source is the sun (parallel light, reddened by
-the atmosphere) or a lamp, a point of intensity ``e_sun`` whose light falls off with the square of
-its distance r and is attenuated on its way by exp(-beta_ex r).
+the atmosphere) or a lamp, a point of intensity ``e_sun``. A lamp's light falls off with the square
+of its distance r and is attenuated on its way by exp(-beta_ex r).
 
-The ray is cut into steps, even for the sun, even in the angle seen from the lamp for a lamp, which
-takes up its 1/r^2 (Kulla & Fajardo, Computer Graphics Forum 31 (2012), 1519). Where nothing is in
-the way the sum over the sun's steps is exact. V comes from a shadow map, what the source sees drawn
-by the project's own rasteriser; where it changes between two steps, the place is found by halving.
-V has no derivative here: ``march`` is differentiable in the air alone.
+The ray is cut into steps: of even length for the sun, of even angle at the lamp for a lamp, which
+cancels its 1/r^2 (Kulla & Fajardo, Computer Graphics Forum 31 (2012), 1519). Without shadows the
+sum over the sun's steps is exact. V comes from a shadow map (``shadow_maps.py``), and bisection
+finds the places between two steps where it changes. V has no derivative here: ``march`` is
+differentiable in the air alone.
 """
 
 from __future__ import annotations
@@ -22,21 +22,32 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from godfit.errors import InputError
-from godfit.models.atmosphere import Air, by_channel, shortened, sunlight, zenith_angle
+from godfit.models.atmosphere import Air, by_channel, path_transmission, sunlight, zenith_angle
 from godfit.scenes.scene import Scene
-from godfit.scenes.shadow_maps import Shadows, Source, lit_shares, shadows
+from godfit.scenes.shadow_maps import ShadowMap, Source, SteppedRays, lit_shares, shadow_map
 
-STEPS, RESOLUTION = 128, 2048
-# Rays that are worked on together.
-BLOCK = 1 << 16
-# A lamp's rays pass it no nearer than this share of their length.
-NEAREST = 1e-6
+MARCH_STEPS = 128
+"""Steps of a ray, by default."""
+MAX_MARCH_STEPS = 1 << 16
+"""Largest number of steps: the time grows with it."""
+SHADOW_RESOLUTION = 2048
+"""Pixels along a side of the shadow map, by default."""
+MAX_SHADOW_RESOLUTION = 1 << 14
+"""Largest side of a shadow map: the six faces of a lamp's then take 13 GB."""
+RAY_BLOCK = 1 << 16
+"""Rays that are marched together: their lit shares take 34 MB at the default number of steps."""
+MIN_LAMP_DISTANCE = 1e-6
+"""Least distance at which a ray passes a lamp, as a share of the ray's length: at the lamp itself
+the integral has no value."""
+MIN_RAY_LENGTH = 1e-12
+"""Least length of a ray in that share."""
 
 
 class Rays(eqx.Module):
-    """View rays through a scene: direction (n, 3), length (n,), the share of every step that the
-    source lights (steps, n), the direction to the sun and up (3,), or, for a lamp, where along the
-    ray it is passed (n,) and how far off (n,). Lengths are the scene's."""
+    """View rays through a scene: direction (n, 3), length (n,), and the share of every step that
+    the source lights (steps, n). For the sun, ``sun`` and ``up`` (3,) are directions; for a lamp,
+    the ray passes it ``passed`` (n,) along the ray at the distance ``apart`` (n,). Lengths are in
+    the scene's unit."""
 
     direction: Float[Array, "n 3"]
     length: Float[Array, " n"]
@@ -49,7 +60,8 @@ class Rays(eqx.Module):
 
 
 def view_rays(scene: Scene, pixels: np.ndarray) -> np.ndarray:
-    """(n, 3) unit vectors in the world through the middles of row-major ``pixels``."""
+    """(n, 3) unit vectors in the world, from the camera through the middles of row-major
+    ``pixels``."""
     h, w = scene.size
     tall = np.tan(np.deg2rad(float(scene.camera.fov_y)) / 2)
     x = (2 * (pixels % w + 0.5) / w - 1) * tall * w / h
@@ -63,20 +75,22 @@ def trace(
     scene: Scene,
     direction: np.ndarray,
     length: np.ndarray,
-    shadow: Shadows,
+    shadow: ShadowMap,
     source: Source = "sun",
-    steps: int = STEPS,
+    steps: int = MARCH_STEPS,
 ) -> Rays:
-    """Rays (n, 3) from the camera, ``length`` (n,) long, and where the source lights them."""
+    """Rays from the camera along ``direction`` (n, 3), ``length`` (n,) long, and the share of each
+    of their ``steps`` that the source lights."""
     origin = np.asarray(scene.camera.position, np.float64)
     towards = np.asarray(scene.light.position, np.float64) - origin
     passed = direction @ towards
     apart = np.linalg.norm(towards - passed[:, None] * direction, axis=1)
-    apart = np.maximum(apart, NEAREST * np.maximum(length, 1e-12))
+    apart = np.maximum(apart, MIN_LAMP_DISTANCE * np.maximum(length, MIN_RAY_LENGTH))
     begin, end = np.zeros_like(length), length
     if source == "lamp":
         begin, end = np.arctan2(-passed, apart), np.arctan2(length - passed, apart)
-    lit = lit_shares(origin, direction, begin, end, passed, apart, shadow, source, steps)
+    rays = SteppedRays(origin, direction, begin, end, passed, apart)
+    lit = lit_shares(rays, shadow, source, steps)
     dtype = scene.light.position.dtype
     sun = towards / np.linalg.norm(towards)
     return Rays(
@@ -92,23 +106,23 @@ def trace(
 
 
 def march(air: Air, rays: Rays) -> Float[Array, "n 3"]:
-    """Light scattered into every ray; differentiable in ``air``."""
+    """Radiance scattered into every ray; differentiable in ``air``."""
     return _march_lamp(air, rays) if rays.source == "lamp" else _march_sun(air, rays)
 
 
 def _march_sun(air: Air, rays: Rays):
     step = rays.length / rays.lit.shape[0]
     depth = by_channel(air.beta_ex, step)
-    left = jnp.exp(-depth)
+    transmission = jnp.exp(-depth)
 
-    def farther(total, lit):
-        # From the far end: what lies beyond is seen through one step more.
-        return lit[:, None] + left * total, None
+    def add_step(total, lit):
+        # From the far end: light from beyond passes one step more.
+        return lit[:, None] + transmission * total, None
 
-    total, _ = jax.lax.scan(farther, jnp.zeros_like(left), rays.lit, reverse=True)
+    total, _ = jax.lax.scan(add_step, jnp.zeros_like(transmission), rays.lit, reverse=True)
     cos = rays.direction @ rays.sun
     sun = air.e_sun * sunlight(air.turbidity, zenith_angle(rays.sun, rays.up))
-    path = step[:, None] * shortened(depth) * total
+    path = step[:, None] * path_transmission(depth) * total
     return by_channel(sun, jnp.ones_like(cos)) * air.scattered(cos) * path
 
 
@@ -117,7 +131,7 @@ def _march_lamp(air: Air, rays: Rays):
     begin = jnp.arctan2(-rays.passed, rays.apart)
     width = (jnp.arctan2(rays.length - rays.passed, rays.apart) - begin) / steps
 
-    def farther(total, step):
+    def add_step(total, step):
         k, lit = step
         angle = begin + (k + 0.5) * width
         s, r = rays.passed + rays.apart * jnp.tan(angle), rays.apart / jnp.cos(angle)
@@ -127,7 +141,7 @@ def _march_lamp(air: Air, rays: Rays):
 
     numbers = jnp.arange(steps, dtype=rays.length.dtype)
     zero = jnp.zeros((*rays.length.shape, 3), rays.length.dtype)
-    total, _ = jax.lax.scan(farther, zero, (numbers, rays.lit))
+    total, _ = jax.lax.scan(add_step, zero, (numbers, rays.lit))
     return air.e_sun * (width / rays.apart)[:, None] * total
 
 
@@ -137,20 +151,22 @@ def render(
     distance: np.ndarray,
     *,
     source: str = "sun",
-    steps: int = STEPS,
-    resolution: int = RESOLUTION,
+    steps: int = MARCH_STEPS,
+    resolution: int = SHADOW_RESOLUTION,
     background: np.ndarray | None = None,
 ) -> np.ndarray:
     """(h, w, 3) radiance of a scene in air, linear, not clamped.
 
     **Arguments:**
 
-    - `scene`: its objects cast the shadows; its light is the lamp, or shows where the sun stands.
-    - `distance`: (h, w) to what is seen, along the rays; see `godfit.request.view_of`.
-    - `steps`, `resolution`: of a ray, and of the shadow map's side.
-    - `background`: (h, w) or (h, w, 3) what would be seen without air.
+    - `scene`: its objects cast the shadows; its light is the lamp, or marks the sun's direction.
+    - `distance`: (h, w) to the surfaces, along the rays; see `godfit.models.build.view_of_scene`.
+    - `source`: `"sun"` or `"lamp"`.
+    - `steps`: number of steps of a ray. The time grows with pixels x steps.
+    - `resolution`: pixels along a side of the shadow map.
+    - `background`: (h, w) or (h, w, 3), the picture without air; by default black.
 
-    Raises InputError for numbers that make no sense. Time grows with pixels x steps.
+    Raises InputError for another source, and for numbers out of range.
     """
     kind: Source
     if source == "sun":
@@ -159,23 +175,26 @@ def render(
         kind = "lamp"
     else:
         raise InputError(f"source: expected sun or lamp, got '{source}'")
-    for name, value, most in (("steps", steps, 1 << 16), ("resolution", resolution, 1 << 14)):
+    for name, value, most in (
+        ("steps", steps, MAX_MARCH_STEPS),
+        ("resolution", resolution, MAX_SHADOW_RESOLUTION),
+    ):
         if not 1 <= value <= most:
             raise InputError(f"{name}: expected a whole number from 1 to {most}, got {value}")
     h, w = scene.size
-    shadow = shadows(scene, kind, resolution)
+    shadow = shadow_map(scene, kind, resolution)
     flat = np.asarray(distance, np.float64).reshape(-1)
     image = np.empty((h * w, 3), np.float32)
-    for begin in range(0, h * w, BLOCK):
-        pixels = np.arange(begin, min(begin + BLOCK, h * w))
+    for begin in range(0, h * w, RAY_BLOCK):
+        pixels = np.arange(begin, min(begin + RAY_BLOCK, h * w))
         rays = trace(scene, view_rays(scene, pixels), flat[pixels], shadow, kind, steps)
-        image[pixels] = _light(air, rays)
+        image[pixels] = _marched(air, rays)
         if background is not None:
-            left = np.asarray(air.transmitted(jnp.asarray(flat[pixels], jnp.float32)))
-            image[pixels] += background.reshape(h * w, -1)[pixels] * left
+            transmission = np.asarray(air.transmitted(jnp.asarray(flat[pixels], jnp.float32)))
+            image[pixels] += background.reshape(h * w, -1)[pixels] * transmission
     return image.reshape(h, w, 3)
 
 
 @eqx.filter_jit
-def _light(air: Air, rays: Rays):
+def _marched(air: Air, rays: Rays):
     return march(air, rays)

@@ -1,4 +1,4 @@
-"""Meshes: from files and from formulas, as vertices, faces and the edges between them."""
+"""Meshes from files and from formulas, as vertices, faces and the edges between them."""
 
 from __future__ import annotations
 
@@ -16,13 +16,27 @@ import numpy as np
 
 from godfit.errors import InputError
 
-FORMATS = (".gltf", ".glb", ".obj", ".ply", ".stl")
-# Extensions of glTF that keep positions where trimesh does not look.
-COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
+MESH_SUFFIXES = (".gltf", ".glb", ".obj", ".ply", ".stl")
+"""File formats that trimesh loads with their transforms."""
+COMPRESSION_EXTENSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
+"""Extensions of glTF whose positions trimesh does not load."""
+MAX_COORDINATE = 1e18
+"""Largest coordinate of a vertex: the products of two edges stay finite in float32."""
+PLY_HEADER = 65536
+"""Bytes from the start of a PLY file in which its header ends."""
+GLB_JSON_START = 20
+"""Byte of a GLB file at which its JSON begins: a header of 12 bytes comes first, then the length
+and the kind of the first chunk, 4 bytes each."""
+GLTF_TRIANGLES = 4
+"""Mode of a glTF primitive that is a list of triangles, the default."""
+GLTF_TRIANGLE_FAN = 6
+"""Mode of a glTF primitive that is a fan of triangles, which trimesh passes over."""
+INSIDE_RAY = (0.5377, 0.2718, 0.7983)
+"""Direction of the ray of ``contains``: no edge of a modelled mesh lies along it."""
 
 
 class Mesh(NamedTuple):
-    """Vertices (v, 3) float64, each position once; faces (f, 3) int32; notes for the user."""
+    """Vertices (v, 3) float64, each position once; faces (f, 3) int32; and notes for the user."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -30,50 +44,19 @@ class Mesh(NamedTuple):
 
 
 def load(path: Path) -> Mesh:
-    """A glTF, GLB, OBJ, PLY or STL file, its whole scene graph with transforms; materials and
-    textures are not looked at. Raises InputError."""
+    """The mesh of a glTF, GLB, OBJ, PLY or STL file: its whole scene graph with transforms, without
+    materials and textures. Raises InputError for a file that is missing, damaged or has no
+    triangles."""
     if not path.is_file():
         raise InputError(f"'{path}': expected a mesh, got no such file; check the path")
-    if path.suffix.lower() not in FORMATS:
-        raise InputError(f"'{path}': expected one of {', '.join(FORMATS)}, got '{path.suffix}'")
+    suffix = path.suffix.lower()
+    if suffix not in MESH_SUFFIXES:
+        expected = ", ".join(MESH_SUFFIXES)
+        raise InputError(f"'{path}': expected one of {expected}, got '{path.suffix}'")
     if path.stat().st_size == 0:
         raise InputError(f"'{path}': expected a mesh, got an empty file; export it again")
     notes = _check_gltf(path)
-    import trimesh
-    from trimesh.resolvers import FilePathResolver
-
-    class Resolver(FilePathResolver):
-        def get(self, name: str):
-            return super().get(urllib.parse.unquote(name))
-
-    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
-    try:
-        with warnings.catch_warnings():
-            # What it says of textures and normals does not matter here.
-            warnings.simplefilter("ignore")
-            # `process` would drop vertices that are not finite before anyone is told.
-            scene = trimesh.load_scene(
-                _obj(path) if path.suffix.lower() == ".obj" else str(path),
-                file_type=path.suffix.lower()[1:],
-                resolver=Resolver(str(path)),
-                process=False,
-                skip_materials=True,
-            )
-            parts = [
-                (np.asarray(part.vertices, np.float64), np.asarray(part.faces, np.int64))
-                for part in scene.dump()
-                if isinstance(part, trimesh.Trimesh)
-            ]
-    except InputError:
-        raise
-    except Exception as error:
-        # Its loaders raise whatever their parsers do. An ImportError: binary data was taken for
-        # text, and the guesser of encodings is not there.
-        got = f"{type(error).__name__}: {error}"
-        if isinstance(error, (ImportError, AssertionError)):
-            got = "a cut or damaged file"
-        raise InputError(f"'{path}': expected a mesh, got {got}; export it again") from error
-    parts = [(v, f) for v, f in parts if len(f)]
+    parts = [(v, f) for v, f in _loaded(path) if len(f)]
     if not parts:
         raise InputError(f"'{path}': expected triangles, got none; export faces, not points")
     first, vertices, faces = 0, [], []
@@ -86,25 +69,66 @@ def load(path: Path) -> Mesh:
         vertices.append(v)
         faces.append(f + first)
         first += len(v)
-    if path.suffix.lower() == ".ply":
+    if suffix == ".ply":
         _check_ply(path, sum(map(len, faces)))
     mesh = clean(np.concatenate(vertices), np.concatenate(faces), str(path))
     return mesh._replace(notes=mesh.notes + notes)
 
 
+def _loaded(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Vertices and faces of every part of a file, in the world, by trimesh."""
+    # Imported here: trimesh takes long to import, and most runs need no mesh.
+    import trimesh
+    from trimesh.resolvers import FilePathResolver
+
+    class Resolver(FilePathResolver):
+        def get(self, name: str):
+            return super().get(urllib.parse.unquote(name))
+
+    suffix = path.suffix.lower()
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
+    try:
+        with warnings.catch_warnings():
+            # trimesh warns of textures and normals, which a mask does not need.
+            warnings.simplefilter("ignore")
+            # `process` would drop vertices that are not finite, which are an error here.
+            scene = trimesh.load_scene(
+                _obj_bytes(path) if suffix == ".obj" else str(path),
+                file_type=suffix[1:],
+                resolver=Resolver(str(path)),
+                process=False,
+                skip_materials=True,
+            )
+            return [
+                (np.asarray(part.vertices, np.float64), np.asarray(part.faces, np.int64))
+                for part in scene.dump()
+                if isinstance(part, trimesh.Trimesh)
+            ]
+    except InputError:
+        raise
+    except Exception as error:
+        # trimesh's loaders raise whatever their parsers raise. An ImportError means that binary
+        # data was taken for text, and that the package which guesses encodings is missing.
+        got = f"{type(error).__name__}: {error}"
+        if isinstance(error, (ImportError, AssertionError)):
+            got = "a cut or damaged file"
+        raise InputError(f"'{path}': expected a mesh, got {got}; export it again") from error
+
+
 def clean(vertices: np.ndarray, faces: np.ndarray, name: str) -> Mesh:
-    """Positions merged, and without the faces that have no area or are there twice."""
-    # The products of two edges stay finite in float32 as well.
-    bad = np.any(~(np.abs(vertices) < 1e18), axis=-1)
+    """A mesh with equal positions merged, and without faces that have no area or occur twice.
+    ``name`` is that of the mesh in messages. Raises InputError for vertices that are not finite,
+    and where no face is left."""
+    bad = np.any(~(np.abs(vertices) < MAX_COORDINATE), axis=-1)
     if bad[faces].any():
         count = len(np.unique(faces[bad[faces]]))
         raise InputError(
             f"'{name}': expected finite vertices below 1e18, got {count:,} with NaN, infinity or "
             "more; export it again"
         )
-    # -0.0 and 0.0 are one place.
+    # -0.0 becomes 0.0: they are one position.
     vertices = vertices + 0.0
-    faces = _first(vertices)[faces]
+    faces = _first_equal(vertices)[faces]
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     flat = (np.cross(b - a, c - a) == 0).all(-1)
     notes = ()
@@ -113,28 +137,28 @@ def clean(vertices: np.ndarray, faces: np.ndarray, name: str) -> Mesh:
     faces = faces[~flat]
     if not len(faces):
         raise InputError(f"'{name}': expected triangles with an area, got none; export it again")
-    faces = faces[_first(np.sort(faces, axis=1)) == np.arange(len(faces))]
+    faces = faces[_first_equal(np.sort(faces, axis=1)) == np.arange(len(faces))]
     used = np.zeros(len(vertices), bool)
     used[faces] = True
     renumbered = np.cumsum(used, dtype=np.int32) - 1
     return Mesh(vertices[used], renumbered[faces], notes)
 
 
-def _first(rows: np.ndarray) -> np.ndarray:
-    """(n,) where the first row equal to each of the rows (n, 3) is."""
-    # On 2 million triangles, several times as fast as numpy.unique with an axis.
+def _first_equal(rows: np.ndarray) -> np.ndarray:
+    """(n,) for each of the rows (n, 3), the number of the first row that is equal to it."""
+    # Several times as fast as numpy.unique with an axis, for 2 million triangles.
     order = np.lexsort(rows.T)
     new = np.ones(len(rows), bool)
     new[1:] = (rows[order[1:]] != rows[order[:-1]]).any(-1)
     first = np.empty(len(rows), np.int64)
-    # lexsort is stable: the first of equal rows is the one that came first.
+    # lexsort is stable: the first of equal rows in its order has the least number.
     first[order] = order[new][np.cumsum(new) - 1]
     return first
 
 
 def edges(faces: np.ndarray) -> np.ndarray:
-    """(e, 4) int32, every edge once: its ends a, b and the corners of its two faces across from
-    it, c, d; -1 for d where there is one face, for both where there are more than two."""
+    """(e, 4) int32, every edge once: its ends a, b, and the opposite corners c, d of its two faces.
+    d is -1 where the edge has one face; both are -1 where it has more than two."""
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     across = np.concatenate([faces[:, 2], faces[:, 0], faces[:, 1]])
     low, high = ends.min(1), ends.max(1)
@@ -149,13 +173,12 @@ def edges(faces: np.ndarray) -> np.ndarray:
 
 
 def contains(mesh: Mesh, point: np.ndarray) -> bool:
-    """Whether a point is inside a closed mesh: a ray from it crosses the surface an odd number of
-    times. False for meshes with a border."""
+    """Whether a point is inside a closed mesh: a ray from the point crosses the surface an odd
+    number of times. False for a mesh with a border."""
     if (edges(mesh.faces)[:, 3] < 0).any():
         return False
     a, b, c = (mesh.vertices[mesh.faces[:, k]] - point for k in range(3))
-    # A direction that no modelled edge lies in.
-    ray = np.array([0.5377, 0.2718, 0.7983])
+    ray = np.array(INSIDE_RAY)
     n = np.cross(b - a, c - a)
     with np.errstate(divide="ignore", invalid="ignore"):
         t = (n * a).sum(-1) / (n @ ray)
@@ -165,13 +188,13 @@ def contains(mesh: Mesh, point: np.ndarray) -> bool:
     return bool(inside.sum() % 2)
 
 
-def _obj(path: Path) -> io.BytesIO:
-    """An OBJ file in UTF-8, its relative indices made absolute."""
+def _obj_bytes(path: Path) -> io.BytesIO:
+    """An OBJ file in UTF-8, with absolute indices in place of relative ones."""
     data = path.read_bytes().replace(b"\r\n", b"\n").replace(b"\\\n", b" ")
-    # Names and comments may be in any encoding; nothing is read of them.
+    # Names and comments may be in any encoding, and are ignored.
     data = data.decode("utf-8", errors="replace").encode()
-    # An index below 1 counts back from the last vertex before the face; trimesh counts from the
-    # last of the file, and takes 0 for it.
+    # An index below 1 counts back from the last vertex before the face. trimesh counts from the
+    # last vertex of the file, which it takes 0 for as well.
     if not re.search(rb"^\s*f[^\n]*\s[-0]", data, re.MULTILINE):
         return io.BytesIO(data)
     lines, count = data.split(b"\n"), 0
@@ -191,32 +214,32 @@ def _obj(path: Path) -> io.BytesIO:
 
 
 def _check_ply(path: Path, faces: int) -> None:
-    """Refuse a text file that ends before its last face, where trimesh takes what there is."""
+    """Reject a text file that ends before its last face: trimesh loads the faces before the end."""
     with path.open("rb") as file:
-        said = re.search(rb"^element\s+face\s+(\d+)", file.read(65536), re.MULTILINE)
-    if said and faces < int(said[1]):
+        header = re.search(rb"^element\s+face\s+(\d+)", file.read(PLY_HEADER), re.MULTILINE)
+    if header and faces < int(header[1]):
         raise InputError(
-            f"'{path}': expected {int(said[1]):,} faces, got {faces:,}; the file is cut short, "
+            f"'{path}': expected {int(header[1]):,} faces, got {faces:,}; the file is cut short, "
             "export it again"
         )
 
 
 def _check_gltf(path: Path) -> tuple[str, ...]:
-    """Refuse a glTF or GLB file in which trimesh would pass over geometry or misread it; a note
-    where textures that it names are not beside it."""
+    """Reject a glTF or GLB file whose geometry trimesh would pass over or misread. Returns a note
+    where the file names textures that are not beside it."""
     suffix = path.suffix.lower()
     if suffix not in (".gltf", ".glb"):
         return ()
     data = path.read_bytes()
     if suffix == ".glb":
-        # 12 bytes of header, then the length and kind of the first chunk, which is the JSON.
-        data = data[20 : 20 + int.from_bytes(data[12:16], "little")]
+        length = int.from_bytes(data[12:16], "little")
+        data = data[GLB_JSON_START : GLB_JSON_START + length]
     try:
         tree = json.loads(data.decode())
-        compressed = set(COMPRESSED) & set(tree.get("extensionsRequired", []))
+        compressed = set(COMPRESSION_EXTENSIONS) & set(tree.get("extensionsRequired", []))
         accessors, misread = tree.get("accessors", []), {f"{name} geometry" for name in compressed}
         for part in (p for m in tree.get("meshes", []) for p in m["primitives"]):
-            if part.get("mode", 4) == 6:
+            if part.get("mode", GLTF_TRIANGLES) == GLTF_TRIANGLE_FAN:
                 misread.add("triangle fans")
             position = accessors[part["attributes"]["POSITION"]]
             misread |= {f"{key} positions" for key in ("sparse", "normalized") if position.get(key)}
@@ -251,9 +274,9 @@ def _icosphere(radius: float, subdivisions: int) -> Any:
 def _cylinder(radius: float, height: float, segments: int) -> Any:
     import trimesh
 
-    # Its axis is z there, and y in three.js; the first corner is at x there, and at z in three.js.
-    turn = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
-    return trimesh.creation.cylinder(radius, height, sections=segments, transform=turn)
+    # trimesh's axis is z and its first corner lies at x; three.js's are y and z.
+    rotation = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    return trimesh.creation.cylinder(radius, height, sections=segments, transform=rotation)
 
 
 def _torus(radius: float, tube: float, radial_segments: int, tubular_segments: int) -> Any:
@@ -272,7 +295,6 @@ def _plane(width: float, height: float) -> Any:
     return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
 
 
-# kind: (maker, sizes with their defaults); sizes have three.js's names.
 PRIMITIVES: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "box": (_box, {"size": [1.0, 1.0, 1.0]}),
     "icosphere": (_icosphere, {"radius": 1.0, "subdivisions": 3}),
@@ -283,17 +305,20 @@ PRIMITIVES: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     ),
     "plane": (_plane, {"width": 1.0, "height": 1.0}),
 }
-# Least and greatest of the sizes that are whole numbers.
-COUNTS = {
+"""By kind, the function that makes a shape, and its sizes with their defaults. Sizes have
+three.js's names."""
+COUNT_LIMITS = {
     "subdivisions": (0, 8),
     "segments": (3, 4096),
     "radial_segments": (3, 4096),
     "tubular_segments": (3, 4096),
 }
+"""Least and greatest of the sizes that are whole numbers: at most 1.3 million triangles in a
+sphere, and 34 million in a torus."""
 
 
 def primitive(kind: str, **sizes: Any) -> Mesh:
-    """A shape about its own centre; ``sizes`` as in ``PRIMITIVES``."""
-    maker, defaults = PRIMITIVES[kind]
-    made = maker(**(defaults | sizes))
-    return clean(np.asarray(made.vertices, np.float64), np.asarray(made.faces), kind)
+    """A shape of ``PRIMITIVES`` around its own centre; ``sizes`` replace the defaults there."""
+    create, defaults = PRIMITIVES[kind]
+    shape = create(**(defaults | sizes))
+    return clean(np.asarray(shape.vertices, np.float64), np.asarray(shape.faces), kind)

@@ -1,7 +1,7 @@
-"""From camera space to the screen: triangles, and the edges that may be contours. Compiled.
+"""Projection of a scene to the screen: triangles, and the edges that may be contours. Compiled.
 
-Pixel (row i, column j) covers [j, j+1) x [i, i+1), y down; camera space is OpenGL's (x right, y up,
-looking along -z); q = 1/depth, which is linear on the screen. Triangles are clipped at the near
+Pixel (row i, column j) covers [j, j+1) x [i, i+1), y down. Camera space is OpenGL's: x right, y up,
+the view is along -z. q = 1/depth is linear on the screen. Triangles are clipped at the near
 plane.
 """
 
@@ -15,7 +15,8 @@ from godfit.runtime.numba_jit import jit
 
 
 class Lens(NamedTuple):
-    """Screen x = centre_x + focal_x X/-Z, y = centre_y - focal_y Y/-Z; near and far depths."""
+    """Pinhole camera: screen x = centre_x + focal_x X/-Z, y = centre_y - focal_y Y/-Z, in pixels.
+    ``near`` and ``far`` are depths in the scene's unit."""
 
     focal_x: float
     focal_y: float
@@ -25,19 +26,59 @@ class Lens(NamedTuple):
     far: float
 
 
+class Sphere(NamedTuple):
+    """The light in camera space: centre (3,) float64 and radius, in the scene's unit."""
+
+    centre: np.ndarray
+    radius: float
+
+
+class CameraMesh(NamedTuple):
+    """All triangles of a scene: vertices (v, 3) float64 in camera space, faces (t, 3) int32, and
+    the label (t,) int32 of the object that each face belongs to."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    label: np.ndarray
+
+
 class Triangles(NamedTuple):
-    """On the screen, clipped at the near plane, counter-clockwise in (x, y): corners (n, 3, 3) as
-    (x, y, q), what each belongs to (n,), and which face it is, or a part of (n,)."""
+    """Triangles on the screen, clipped at the near plane, counter-clockwise in (x, y): corners
+    (n, 3, 3) as (x, y, q), the label (n,) of the object, and the face (n,) that the triangle is, or
+    is a part of."""
 
     corners: np.ndarray
     label: np.ndarray
     face: np.ndarray
 
 
+class ProjectedScene(NamedTuple):
+    """All surfaces that can cover a pixel, and the lens that they were projected through."""
+
+    triangles: Triangles
+    sphere: Sphere
+    lens: Lens
+
+
+class EdgeSources(NamedTuple):
+    """Edges in camera space, before projection: ``vertices`` (v, 3); ``edges`` (e, 4) as in
+    ``mesh.edges``; the closed polygon of the vertices from number ``outline`` on, which is the
+    light's outline; and ``cuts`` (n, 4), the edges in which the near plane cuts faces."""
+
+    vertices: np.ndarray
+    edges: np.ndarray
+    outline: int
+    cuts: np.ndarray
+
+
 class Edges(NamedTuple):
-    """Edges that may be contours, on the screen: ends (n, 4) as x0, y0, x1, y1, and the vertices
-    each end is made of (n, 4), i, j, k, l: a vertex where i == j, else where i-j meets the near
-    plane; and whether it belongs to the light's outline (n,), which turns from x to y."""
+    """Edges on the screen that may be contours: ends (n, 4) as x0, y0, x1, y1, in pixels; the
+    vertices i, j, k, l that the two ends are made of (n, 4); and whether an edge belongs to the
+    light's outline (n,), which turns from x to y.
+
+    The first end is vertex i where i == j, else the point where the segment i-j meets the near
+    plane. The second end is made of k and l in the same way.
+    """
 
     ends: np.ndarray
     made_of: np.ndarray
@@ -45,40 +86,42 @@ class Edges(NamedTuple):
 
 
 @jit
-def _cut(camera, i, j, near):
-    """The point of segment i-j on the near plane: the same whichever end is named first."""
+def _near_plane_point(vertices, i, j, near):
+    """The point of segment i-j on the near plane, the same for i-j and for j-i."""
     if i > j:
         i, j = j, i
-    a, b = -camera[i, 2], -camera[j, 2]
+    a, b = -vertices[i, 2], -vertices[j, 2]
     t = (near - a) / (b - a)
-    x = camera[i, 0] + t * (camera[j, 0] - camera[i, 0])
-    y = camera[i, 1] + t * (camera[j, 1] - camera[i, 1])
+    x = vertices[i, 0] + t * (vertices[j, 0] - vertices[i, 0])
+    y = vertices[i, 1] + t * (vertices[j, 1] - vertices[i, 1])
     return x, y, near
 
 
 @jit
-def _at(camera, i, j, near):
-    """(x, y, depth) of a point made of i and j."""
+def _point_made_of(vertices, i, j, near):
+    """(x, y, depth) of the point made of i and j: see ``Edges``."""
     if i == j:
-        return camera[i, 0], camera[i, 1], -camera[i, 2]
-    return _cut(camera, i, j, near)
+        return vertices[i, 0], vertices[i, 1], -vertices[i, 2]
+    return _near_plane_point(vertices, i, j, near)
 
 
 @jit
 def _project(point, lens):
+    """(x, y, depth) in camera space -> (x, y, q) on the screen."""
     x, y, depth = point
     q = 1.0 / depth
     return lens.centre_x + lens.focal_x * x * q, lens.centre_y - lens.focal_y * y * q, q
 
 
 @jit
-def _polygon(camera, faces, f, near, made_of):
-    """Corners of face f before the near plane, as pairs i, j; how many (0, 3 or 4); and the two
-    that lie on the near plane (or -1)."""
+def _clip_face(mesh, f, near, made_of):
+    """Clip face f at the near plane. Fills ``made_of`` with the corners, as pairs i, j; returns
+    their number (0, 3 or 4), and the two corners that lie on the near plane (or -1)."""
+    vertices, faces = mesh.vertices, mesh.faces
     count, first_cut, last_cut = 0, -1, -1
     for k in range(3):
         i, j = faces[f, k], faces[f, (k + 1) % 3]
-        inside, next_inside = -camera[i, 2] >= near, -camera[j, 2] >= near
+        inside, next_inside = -vertices[i, 2] >= near, -vertices[j, 2] >= near
         if inside:
             made_of[count, 0], made_of[count, 1] = i, i
             count += 1
@@ -90,14 +133,16 @@ def _polygon(camera, faces, f, near, made_of):
 
 
 @jit
-def _screen_triangles(camera, faces, face_label, lens, height, width, corners, label, face, cuts):
-    """Fill ``corners``, ``label`` and ``face``, and ``cuts`` (near-plane edges, as four indices);
-    returns how many of each there are. Called with empty arrays it only counts."""
+def _screen_triangles(mesh, lens, size, triangles, cuts):
+    """Fill ``triangles`` and ``cuts`` (near-plane edges, as four indices); returns the number of
+    each. With empty arrays it only counts."""
+    height, width = size
+    corners, label, face = triangles.corners, triangles.label, triangles.face
     made_of = np.empty((4, 2), np.int64)
     screen = np.empty((4, 3))
     n, m = 0, 0
-    for f in range(faces.shape[0]):
-        count, first_cut, last_cut = _polygon(camera, faces, f, lens.near, made_of)
+    for f in range(mesh.faces.shape[0]):
+        count, first_cut, last_cut = _clip_face(mesh, f, lens.near, made_of)
         if count < 3:
             continue
         if first_cut >= 0:
@@ -107,7 +152,7 @@ def _screen_triangles(camera, faces, face_label, lens, height, width, corners, l
                     cuts[m, 2 + k] = made_of[last_cut, k]
             m += 1
         for k in range(count):
-            point = _at(camera, made_of[k, 0], made_of[k, 1], lens.near)
+            point = _point_made_of(mesh.vertices, made_of[k, 0], made_of[k, 1], lens.near)
             screen[k, 0], screen[k, 1], screen[k, 2] = _project(point, lens)
         for k in range(1, count - 1):
             x0, x1, x2 = screen[0, 0], screen[k, 0], screen[k + 1, 0]
@@ -128,65 +173,63 @@ def _screen_triangles(camera, faces, face_label, lens, height, width, corners, l
                     screen[second],
                     screen[third],
                 )
-                label[n], face[n] = face_label[f], f
+                label[n], face[n] = mesh.label[f], f
             n += 1
     return n, m
 
 
 def screen_triangles(
-    camera: np.ndarray,
-    faces: np.ndarray,
-    face_label: np.ndarray,
-    lens: Lens,
-    size: tuple[int, int],
+    mesh: CameraMesh, lens: Lens, size: tuple[int, int]
 ) -> tuple[Triangles, np.ndarray]:
-    """Project and clip: camera (v, 3), faces (t, 3) -> triangles, and (n, 4) near-plane cuts."""
+    """Project and clip the faces of ``mesh`` to a picture of ``size`` (height, width). Returns the
+    triangles, and the near-plane cuts (n, 4): see ``EdgeSources``."""
 
     def fill(n: int, m: int):
-        found = Triangles(np.empty((n, 3, 3)), np.empty(n, np.int32), np.empty(n, np.int32))
+        triangles = Triangles(np.empty((n, 3, 3)), np.empty(n, np.int32), np.empty(n, np.int32))
         cuts = np.empty((m, 4), np.int32)
-        counts = _screen_triangles(camera, faces, face_label, lens, *size, *found, cuts)
-        return counts, found, cuts
+        return _screen_triangles(mesh, lens, size, triangles, cuts), triangles, cuts
 
     (n, m), _, _ = fill(0, 0)
-    # One spare row, so that arrays that are to be filled are never empty.
-    _, found, cuts = fill(n + 1, m + 1)
-    return Triangles(*(z[:n] for z in found)), cuts[:m]
+    # The spare row keeps arrays to be filled from being empty, which means counting alone.
+    _, triangles, cuts = fill(n + 1, m + 1)
+    return Triangles(*(z[:n] for z in triangles)), cuts[:m]
 
 
 @jit
-def _may_be_contour(camera, edges, e):
-    """Whether both faces of the edge lie on one side of it, as seen from the camera; edges of one
-    face, or of more than two, always may."""
+def _may_be_contour(vertices, edges, e):
+    """Whether both faces of edge e lie on one side of it, from the camera. An edge of one face, or
+    of more than two, always may be a contour."""
     a, b, c, d = edges[e, 0], edges[e, 1], edges[e, 2], edges[e, 3]
     if c < 0 or d < 0:
         return True
-    x = camera[a, 1] * camera[b, 2] - camera[a, 2] * camera[b, 1]
-    y = camera[a, 2] * camera[b, 0] - camera[a, 0] * camera[b, 2]
-    z = camera[a, 0] * camera[b, 1] - camera[a, 1] * camera[b, 0]
-    side_c = x * camera[c, 0] + y * camera[c, 1] + z * camera[c, 2]
-    side_d = x * camera[d, 0] + y * camera[d, 1] + z * camera[d, 2]
+    x = vertices[a, 1] * vertices[b, 2] - vertices[a, 2] * vertices[b, 1]
+    y = vertices[a, 2] * vertices[b, 0] - vertices[a, 0] * vertices[b, 2]
+    z = vertices[a, 0] * vertices[b, 1] - vertices[a, 1] * vertices[b, 0]
+    side_c = x * vertices[c, 0] + y * vertices[c, 1] + z * vertices[c, 2]
+    side_d = x * vertices[d, 0] + y * vertices[d, 1] + z * vertices[d, 2]
     return side_c * side_d >= 0
 
 
 @jit
-def _screen_edges(camera, edges, outline, cuts, lens, height, width, ends, made_of):
-    """Project the candidates among ``edges`` (e, 4), the polygon of the vertices from ``outline``
-    on, and ``cuts``; returns how many there are. Called with empty arrays it only counts."""
+def _screen_edges(sources, lens, size, ends, made_of):
+    """Project the edges of ``sources`` that may be contours into ``ends`` and ``made_of``; returns
+    their number. With empty arrays it only counts."""
+    height, width = size
+    vertices, edges, cuts = sources.vertices, sources.edges, sources.cuts
     n = 0
-    count = camera.shape[0] - outline
+    count = vertices.shape[0] - sources.outline
     for e in range(edges.shape[0] + count + cuts.shape[0]):
         if e < edges.shape[0]:
             i, k = edges[e, 0], edges[e, 1]
             j, m = i, k
-            in_i, in_k = -camera[i, 2] >= lens.near, -camera[k, 2] >= lens.near
-            if not (in_i or in_k) or not _may_be_contour(camera, edges, e):
+            in_i, in_k = -vertices[i, 2] >= lens.near, -vertices[k, 2] >= lens.near
+            if not (in_i or in_k) or not _may_be_contour(vertices, edges, e):
                 continue
         elif e < edges.shape[0] + count:
-            i = outline + e - edges.shape[0]
-            k = outline + (e - edges.shape[0] + 1) % count
+            i = sources.outline + e - edges.shape[0]
+            k = sources.outline + (e - edges.shape[0] + 1) % count
             j, m = i, k
-            in_i, in_k = -camera[i, 2] >= lens.near, -camera[k, 2] >= lens.near
+            in_i, in_k = -vertices[i, 2] >= lens.near, -vertices[k, 2] >= lens.near
             if not (in_i or in_k):
                 continue
         else:
@@ -197,8 +240,8 @@ def _screen_edges(camera, edges, outline, cuts, lens, height, width, ends, made_
             j = k
         elif not in_k:
             m = i
-        x0, y0, _ = _project(_at(camera, i, j, lens.near), lens)
-        x1, y1, _ = _project(_at(camera, k, m, lens.near), lens)
+        x0, y0, _ = _project(_point_made_of(vertices, i, j, lens.near), lens)
+        x1, y1, _ = _project(_point_made_of(vertices, k, m, lens.near), lens)
         if (
             max(x0, x1) < 0
             or min(x0, x1) > width
@@ -214,18 +257,15 @@ def _screen_edges(camera, edges, outline, cuts, lens, height, width, ends, made_
     return n
 
 
-def screen_edges(
-    camera: np.ndarray,
-    edges: np.ndarray,
-    outline: int,
-    cuts: np.ndarray,
-    lens: Lens,
-    size: tuple[int, int],
-) -> Edges:
-    """Edges that may be contours; the vertices from ``outline`` on are the light's outline."""
-    none = np.empty((0, 4)), np.empty((0, 4), np.int32)
-    n = _screen_edges(camera, edges, outline, cuts, lens, *size, *none)
-    filled = np.empty((n + 1, 4)), np.empty((n + 1, 4), np.int32)
-    _screen_edges(camera, edges, outline, cuts, lens, *size, *filled)
-    ends, made_of = filled[0][:n], filled[1][:n]
-    return Edges(ends, made_of, made_of[:, 0] >= outline)
+def screen_edges(sources: EdgeSources, lens: Lens, size: tuple[int, int]) -> Edges:
+    """The edges of ``sources`` that may be contours in a picture of ``size`` (height, width)."""
+
+    def fill(n: int):
+        ends, made_of = np.empty((n, 4)), np.empty((n, 4), np.int32)
+        return _screen_edges(sources, lens, size, ends, made_of), ends, made_of
+
+    n, _, _ = fill(0)
+    # As in ``screen_triangles``, one spare row.
+    _, ends, made_of = fill(n + 1)
+    ends, made_of = ends[:n], made_of[:n]
+    return Edges(ends, made_of, made_of[:, 0] >= sources.outline)

@@ -1,8 +1,8 @@
-"""Scenes: a camera, a light and objects, read from a TOML file.
+"""Scenes: a camera, a light and objects, from a TOML file.
 
-Conventions are three.js's: right-handed, y up, the camera looks along its own -z, rotations are
-Euler angles in the order XYZ (the matrix Rx Ry Rz), fields of view are vertical. Colours are the
-bytes of the picture, not decoded: "#111111" is 17/255.
+Conventions are three.js's: right-handed, y up, the view of the camera is along its own -z,
+rotations are Euler angles in the order XYZ (the matrix Rx Ry Rz), fields of view are vertical.
+Colours are the bytes of the picture, not decoded: "#111111" is 17/255.
 """
 
 from __future__ import annotations
@@ -28,24 +28,35 @@ from godfit.scattering.parameters import SCATTERING as PARAMETERS
 from godfit.scattering.taps import convention
 from godfit.scenes import mesh
 
-# Numbers of the scene that a fit can free.
-CAMERA, LIGHT = ("position", "target", "up", "fov_y"), ("position", "radius")
-OBJECT = ("position", "rotation", "scale")
-MAX_SIZE = 16384
-# What [scattering] may hold: a target's settings, and parameters for rendering.
-SETTINGS: dict[str, type] = {
+CAMERA_FIELDS = ("position", "target", "up", "fov_y")
+"""Fields of a camera that a fit can free."""
+LIGHT_FIELDS = ("position", "radius")
+"""Fields of a light that a fit can free."""
+OBJECT_FIELDS = ("position", "rotation", "scale")
+"""Fields of an object that a fit can free."""
+MAX_PICTURE_SIDE = 16384
+"""Largest height and width of a picture, in pixels: a mask of that side takes a gigabyte."""
+SCATTERING_KEYS: dict[str, type] = {
     k: v for k, v in SIDECAR_SCATTERING.items() if k not in ("lights", "model", "rays")
 } | dict.fromkeys(("exposure", "decay", "density", "weight"), float)
-
-# From and to, both included.
-LIMITS = {p.name: (p.lower, min(p.upper, 1e18)) for p in PARAMETERS} | {
-    "samples": (2, 100000),
+"""Keys of [scattering] and their types: a target's settings, and parameters for rendering."""
+MIN_SAMPLES = 2
+"""Least number of samples: one sample has no spacing."""
+MAX_SAMPLES = 100_000
+"""Largest number of samples, far above any shader's: the time of a sum grows with it."""
+MAX_SETTING = 1e18
+"""Largest value of a parameter without an upper bound: its square is finite in float32."""
+SCATTERING_LIMITS = {p.name: (p.lower, min(p.upper, MAX_SETTING)) for p in PARAMETERS} | {
+    "samples": (MIN_SAMPLES, MAX_SAMPLES),
     "pass_scale": (1e-3, 1),
 }
+"""Least and greatest value of a key of [scattering], both allowed."""
+MIN_UP_SINE = 1e-6
+"""Least sine of the angle between ``camera.up`` and the view: below it the camera has no sides."""
 
 
 class Camera(eqx.Module):
-    """position, target, up (3,), fov_y () in degrees; near and far are depths."""
+    """A pinhole camera: position, target and up (3,); fov_y () in degrees; depths near and far."""
 
     position: Float[Array, "3"]
     target: Float[Array, "3"]
@@ -64,8 +75,8 @@ class Light(eqx.Module):
 
 
 class Object(eqx.Module):
-    """A mesh and its pose: vertices (v, 3) of its own, faces (f, 3), edges (e, 4) as in
-    ``godfit.scenes.mesh.edges``, position (3,), rotation (3,) in degrees, scale ()."""
+    """A mesh and its pose: vertices (v, 3) in the object's own space, faces (f, 3), edges (e, 4) as
+    in ``godfit.scenes.mesh.edges``; position (3,), rotation (3,) in degrees, scale ()."""
 
     vertices: Float[Array, "v 3"]
     faces: Int[Array, "f 3"]
@@ -76,15 +87,16 @@ class Object(eqx.Module):
     colour: Colour = eqx.field(static=True)
 
     def world(self) -> Float[Array, "v 3"]:
-        """The vertices where the pose puts them."""
+        """The vertices in the world."""
         x, y, z = jnp.deg2rad(self.rotation)
-        turn = _turn(x, 1, 2) @ _turn(y, 2, 0) @ _turn(z, 0, 1)
-        return self.position[None] + (self.scale * self.vertices) @ turn.T
+        rotation = _rotation(x, 1, 2) @ _rotation(y, 2, 0) @ _rotation(z, 0, 1)
+        return self.position[None] + (self.scale * self.vertices) @ rotation.T
 
 
 class Scene(eqx.Module):
-    """What a mask is drawn from. ``size`` is (height, width); ``antialias`` is None where the file
-    leaves it open; ``scattering`` holds the shader's settings; ``notes`` are for the user."""
+    """A scene whose mask can be drawn. ``size`` is (height, width) in pixels; ``antialias`` is None
+    where the file leaves it open; ``scattering`` holds the shader's settings; ``notes`` are for the
+    user."""
 
     camera: Camera
     light: Light
@@ -102,21 +114,24 @@ class Scene(eqx.Module):
 
     @property
     def names(self) -> list[str]:
-        """All numbers of the scene that can be asked for and replaced."""
-        objects = [f"object[{i}].{n}" for i in range(len(self.objects)) for n in OBJECT]
-        return [f"camera.{n}" for n in CAMERA] + [f"light.{n}" for n in LIGHT] + objects
+        """The names of all numbers that ``value`` returns and ``replaced`` replaces."""
+        objects = [f"object[{i}].{n}" for i in range(len(self.objects)) for n in OBJECT_FIELDS]
+        camera = [f"camera.{n}" for n in CAMERA_FIELDS]
+        return camera + [f"light.{n}" for n in LIGHT_FIELDS] + objects
 
     def value(self, name: str) -> Float[Array, "..."]:
-        """The number (or three) of a name like ``object[0].position``; raises InputError."""
-        return _find(self, self._path(name))
+        """The number, () or (3,), of a name like ``object[0].position``. Raises InputError for an
+        unknown name."""
+        return _field(self, self._path(name))
 
     def replaced(self, values: Mapping[str, Array]) -> Scene:
-        """The scene with other numbers."""
+        """The scene with other numbers, by name. Raises InputError for an unknown name."""
         paths = [self._path(name) for name in values]
-        return eqx.tree_at(lambda s: [_find(s, p) for p in paths], self, list(values.values()))
+        return eqx.tree_at(lambda s: [_field(s, p) for p in paths], self, list(values.values()))
 
     def camera_axes(self) -> Float[Array, "3 3"]:
-        """World to camera, rows right, up and back: three.js's lookAt."""
+        """The rotation from the world to the camera, its rows right, up and back: three.js's
+        lookAt."""
         camera = self.camera
         back = camera.position - camera.target
         back = back / jnp.linalg.norm(back)
@@ -125,6 +140,7 @@ class Scene(eqx.Module):
         return jnp.stack([right, jnp.cross(back, right), back])
 
     def _path(self, name: str) -> tuple[str, int, str]:
+        """A name as part, number of the object (0 for camera and light), and field."""
         if name not in self.names:
             near = difflib.get_close_matches(name, self.names, n=1, cutoff=0.0)[0]
             raise InputError(
@@ -135,31 +151,32 @@ class Scene(eqx.Module):
         return part, int(number or 0), key
 
 
-def _find(scene: Scene, path: tuple[str, int, str]) -> Any:
+def _field(scene: Scene, path: tuple[str, int, str]) -> Any:
     part, number, key = path
     return getattr(scene.objects[number] if part == "object" else getattr(scene, part), key)
 
 
-def _turn(angle: Float[Array, ""], i: int, j: int) -> Float[Array, "3 3"]:
-    """Rotation from axis i towards axis j."""
+def _rotation(angle: Float[Array, ""], i: int, j: int) -> Float[Array, "3 3"]:
+    """The rotation by ``angle`` (radians) from axis i towards axis j."""
     c, s = jnp.cos(angle), jnp.sin(angle)
     rows = [
         [jnp.asarray(float(row == column), angle.dtype) for column in range(3)] for row in range(3)
     ]
     rows[i][i], rows[i][j], rows[j][i], rows[j][j] = c, -s, s, c
-    # Not by ``.at[].set``: a scatter takes long to compile, and every object turns three times.
+    # A scatter (``.at[].set``) takes long to compile, and every object has three rotations.
     return jnp.stack([jnp.stack(row) for row in rows])
 
 
 def read_scene(path: str | os.PathLike[str]) -> Scene:
-    """Read a scene file; raises InputError naming the file, the key, what was expected and got."""
+    """Read a scene file. Raises InputError that names the file, the key, the expected and the
+    actual value."""
     path = Path(path)
     root = Table.read(path, "a scene file")
     image, camera, light = (root.table(key) for key in ("image", "camera", "light"))
     background, scattering = root.table("background", {}), root.table("scattering", {})
     parts = [_object(Table(path, f"object[{i}]", t)) for i, t in enumerate(root.tables("object"))]
     root.finish()
-    scattering.may_have(*SETTINGS)
+    scattering.may_have(*SCATTERING_KEYS)
     scene = Scene(
         Camera(
             _array(camera.three("position")),
@@ -174,22 +191,22 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
             _array(light.number("radius", above=0.0)),
             light.colour("colour", "#ffffff"),
         ),
-        tuple(thing for thing, _ in parts),
+        tuple(obj for obj, _ in parts),
         background.colour("colour", "#000000"),
-        (image.whole("height", 1, MAX_SIZE), image.whole("width", 1, MAX_SIZE)),
+        (image.whole("height", 1, MAX_PICTURE_SIDE), image.whole("width", 1, MAX_PICTURE_SIDE)),
         image.switch("antialias"),
         tuple((key, _setting(scattering, key)) for key in list(scattering.data)),
         tuple(note for _, notes in parts for note in notes),
     )
     for table in (image, camera, light, background, scattering):
         table.finish()
-    notes = _check(path, scene)
-    notes += tuple(f"the camera is inside object[{i}]" for i in _around_camera(scene))
+    notes = _check_scene(path, scene)
+    notes += tuple(f"the camera is inside object[{i}]" for i in _objects_around_camera(scene))
     return dataclasses.replace(scene, notes=scene.notes + notes)
 
 
 def _object(table: Table) -> tuple[Object, tuple[str, ...]]:
-    """One [[object]] and what is to be said of its mesh."""
+    """One [[object]], and notes on its mesh."""
     file, kind = table.text("mesh"), table.text("primitive")
     if (file is None) == (kind is None):
         raise table.error("mesh", "mesh or primitive", "both" if file else "neither")
@@ -203,12 +220,12 @@ def _object(table: Table) -> tuple[Object, tuple[str, ...]]:
         for key, default in mesh.PRIMITIVES[kind][1].items():
             if isinstance(default, list):
                 sizes[key] = table.three(key, default, above=0.0)
-            elif key in mesh.COUNTS:
-                sizes[key] = table.whole(key, *mesh.COUNTS[key], default)
+            elif key in mesh.COUNT_LIMITS:
+                sizes[key] = table.whole(key, *mesh.COUNT_LIMITS[key], default)
             else:
                 sizes[key] = table.number(key, default, above=0.0)
         shape = mesh.primitive(kind, **sizes)
-    thing = Object(
+    obj = Object(
         _array(shape.vertices),
         jnp.asarray(shape.faces),
         jnp.asarray(mesh.edges(shape.faces)),
@@ -218,15 +235,15 @@ def _object(table: Table) -> tuple[Object, tuple[str, ...]]:
         table.colour("colour", "#000000"),
     )
     table.finish()
-    return thing, shape.notes
+    return obj, shape.notes
 
 
 def _setting(table: Table, key: str) -> Any:
-    """A key of [scattering]."""
-    if key not in SETTINGS:
+    """The value of a key of [scattering], checked."""
+    if key not in SCATTERING_KEYS:
         return None
-    value = table.optional(key, SETTINGS[key])
-    expected = LIMITS.get(key)
+    value = table.optional(key, SCATTERING_KEYS[key])
+    expected = SCATTERING_LIMITS.get(key)
     if expected and not expected[0] <= value <= expected[1]:
         raise table.error(key, f"from {expected[0]:g} to {expected[1]:g}", repr(value))
     if key == "transfer" and value not in TRANSFERS:
@@ -243,10 +260,11 @@ def _array(value: Any) -> Array:
     return jnp.asarray(value, float)
 
 
-def _check(path: Path, scene: Scene) -> tuple[str, ...]:
-    """What no key is to blame for alone; notes on what is allowed and seldom meant."""
+def _check_scene(path: Path, scene: Scene) -> tuple[str, ...]:
+    """Check keys against each other. Raises InputError; returns notes on a scene that is allowed
+    but seldom intended."""
     camera, light = scene.camera, scene.light
-    position, target, up, place = (
+    position, target, up, light_position = (
         np.asarray(z, float) for z in (camera.position, camera.target, camera.up, light.position)
     )
     if camera.near >= camera.far:
@@ -254,22 +272,22 @@ def _check(path: Path, scene: Scene) -> tuple[str, ...]:
             f"'{path}': camera.near: expected less than far, got near {camera.near:g} and far "
             f"{camera.far:g}"
         )
-    along = target - position
-    if not np.linalg.norm(along) > 0:
+    view = target - position
+    if not np.linalg.norm(view) > 0:
         raise InputError(f"'{path}': camera.target: expected a place other than position, got it")
-    across = np.linalg.norm(np.cross(along, up))
-    if not across > 1e-6 * np.linalg.norm(along) * np.linalg.norm(up):
+    across = np.linalg.norm(np.cross(view, up))
+    if not across > MIN_UP_SINE * np.linalg.norm(view) * np.linalg.norm(up):
         raise InputError(
             f"'{path}': camera.up: expected a direction other than the view's, got "
             f"{up.tolist()}; give another up"
         )
-    away = np.linalg.norm(place - position)
-    if away <= float(light.radius):
+    distance = np.linalg.norm(light_position - position)
+    if distance <= float(light.radius):
         raise InputError(
-            f"'{path}': light.radius: expected less than the camera's distance {away:g}, got "
+            f"'{path}': light.radius: expected less than the camera's distance {distance:g}, got "
             f"{float(light.radius):g}: the camera is inside the light"
         )
-    depth = (place - position) @ along / np.linalg.norm(along)
+    depth = (light_position - position) @ view / np.linalg.norm(view)
     if depth <= camera.near:
         raise InputError(
             f"'{path}': light.position: expected it before the camera, got depth {depth:g}, behind "
@@ -280,13 +298,14 @@ def _check(path: Path, scene: Scene) -> tuple[str, ...]:
     return ()
 
 
-def _around_camera(scene: Scene) -> list[int]:
-    """Objects that the camera is in."""
-    found = []
-    for i, thing in enumerate(scene.objects):
-        world = np.asarray(thing.world(), np.float64)
-        position = np.asarray(scene.camera.position, np.float64)
+def _objects_around_camera(scene: Scene) -> list[int]:
+    """The numbers of the objects that the camera is inside of."""
+    around = []
+    position = np.asarray(scene.camera.position, np.float64)
+    for i, obj in enumerate(scene.objects):
+        world = np.asarray(obj.world(), np.float64)
+        # The box first: the test of a mesh takes every face.
         if (world.min(0) < position).all() and (position < world.max(0)).all():
-            shape = mesh.Mesh(world, np.asarray(thing.faces))
-            found += [i] if mesh.contains(shape, position) else []
-    return found
+            shape = mesh.Mesh(world, np.asarray(obj.faces))
+            around += [i] if mesh.contains(shape, position) else []
+    return around

@@ -1,4 +1,4 @@
-"""How a scene is viewed: its size, its light on the screen, the mask that it draws."""
+"""A scene in a picture: its size, its light on the screen, and the mask that it draws."""
 
 from __future__ import annotations
 
@@ -11,26 +11,32 @@ import numpy as np
 
 from godfit.errors import InputError
 from godfit.io.image import Image
-from godfit.scenes.raster import on_screen, rasterise, visible
+from godfit.scenes.raster import Visible, on_screen, rasterise, visible
 from godfit.scenes.scene import Scene
 
-
-def resized(scene: Scene, size: tuple[int, int]) -> Scene:
-    """The scene in a picture of another size."""
-    return dataclasses.replace(scene, size=size)
+BLACK = (0.0, 0.0, 0.0)
+"""Colour of what occludes the sky, in a sky mask."""
+WHITE = (1.0, 1.0, 1.0)
+"""Colour of the open sky, in a sky mask."""
 
 
 def in_single_precision(scene: Scene) -> Scene:
-    """The scene in float32."""
+    """The scene with its arrays in float32 and int32, the precision of a fit."""
     return jax.tree.map(
         lambda z: jnp.asarray(np.asarray(z, np.float32 if z.dtype.kind == "f" else np.int32)),
         scene,
     )
 
 
+def resized(scene: Scene, size: tuple[int, int]) -> Scene:
+    """The scene in a picture of another size (height, width)."""
+    return dataclasses.replace(scene, size=size)
+
+
 def scene_at_pass_size(scene: Scene, target: Image, pass_scale: float) -> Scene:
-    """The scene at the size of the light pass: its own, or the target's where that is less, times
-    ``pass_scale``."""
+    """The scene at the size of the light pass: the smaller of the scene's own size and the
+    target's, times ``pass_scale``. Raises InputError for a ``pass_scale`` outside (0, 1], and for a
+    scene with another aspect than the target's."""
     if not 0 < pass_scale <= 1:
         raise InputError(f"pass scale: expected a number above 0, at most 1, got {pass_scale:g}")
     (h, w), (height, width) = scene.size, target.values.shape[:2]
@@ -44,33 +50,36 @@ def scene_at_pass_size(scene: Scene, target: Image, pass_scale: float) -> Scene:
     return resized(scene, (max(1, round(h * pass_scale)), max(1, round(w * pass_scale))))
 
 
+def as_sky_mask(scene: Scene) -> Scene:
+    """The scene with colours that make its mask one of the open sky: objects black, all else
+    white."""
+    return dataclasses.replace(
+        scene,
+        background=WHITE,
+        light=dataclasses.replace(scene.light, colour=WHITE),
+        objects=tuple(dataclasses.replace(obj, colour=BLACK) for obj in scene.objects),
+    )
+
+
 def light_on_screen(scene: Scene) -> dict[str, float]:
-    """Where the scene's light is on the screen."""
+    """Texture coordinates of the scene's light, as the parameters ``light_x`` and ``light_y``."""
     u, v = np.asarray(on_screen(scene), float)
     return {"light_x": float(u), "light_y": float(v)}
 
 
-def as_sky_mask(scene: Scene) -> Scene:
-    """The scene as a mask of what is not occluded: objects black, all else white."""
-    white, black = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
-    return dataclasses.replace(
-        scene,
-        background=white,
-        light=dataclasses.replace(scene.light, colour=white),
-        objects=tuple(dataclasses.replace(thing, colour=black) for thing in scene.objects),
-    )
-
-
 @eqx.filter_jit
-def visible_in(scene: Scene):
+def visible_surfaces(scene: Scene) -> Visible:
+    """``raster.visible``, compiled."""
     return visible(scene)
 
 
 def drawn_mask(scene: Scene, antialias: bool) -> np.ndarray:
-    """The scene's mask in the bytes that a light pass reads, (h, w) or (h, w, 3) float32."""
+    """The scene's mask as the 8-bit texture that a light pass reads: (h, w) or (h, w, 3) float32,
+    multiples of 1/255. Raises InputError as ``raster.rasterise`` does."""
     try:
         mask = np.asarray(_rasterised(scene, antialias))
     except jax.errors.JaxRuntimeError as error:
+        # An error in a callback comes back inside one of XLA's.
         raise InputError.within(error) or error from error
     return np.round(255 * mask).astype(np.float32) / 255
 

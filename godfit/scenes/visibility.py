@@ -1,50 +1,68 @@
-"""What lies at the pixel centres: an exact z-buffer with the top-left rule, compiled.
+"""Nearest surface at the pixel centres: an exact z-buffer with the top-left rule, compiled.
 
-Triangles are found per pixel by their rows' spans: work grows with triangles plus covered pixels.
-Rows are shared out among threads; the compiled code releases the interpreter's lock. Coordinates
-are those of ``projection.py``.
+Triangles are scan-converted row by row: the work grows with triangles plus covered pixels. Bands of
+rows run on all cores, as the compiled code releases the interpreter's lock. Coordinates are those
+of ``projection.py``.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from godfit.runtime.numba_jit import jit
 from godfit.runtime.parallel import cores, parallel_map
-from godfit.scenes.projection import Lens, Triangles
+from godfit.scenes.labels import BACKGROUND_LABEL, LIGHT_LABEL
+from godfit.scenes.projection import ProjectedScene
 
-BACKGROUND, LIGHT, FIRST_OBJECT = 0, 1, 2
+SPAN_MARGIN = 1e-3
+"""Pixels that a row's span is widened by at both ends, far above rounding. Edge functions
+decide."""
+BANDS_PER_CORE = 4
+"""Bands of rows for each core: more than one, as objects seldom fill a picture evenly."""
+
+
+class Pixel(NamedTuple):
+    """A pixel and the surfaces that may cover a part of it: the triangles ``candidates`` (c,), as
+    row numbers of ``Triangles``, and the edges ``rim`` (n, 4) of the light's outline that cross
+    it."""
+
+    column: int
+    row: int
+    candidates: np.ndarray
+    rim: np.ndarray
 
 
 @jit
-def sphere_depth(x, y, lens, centre, radius, inside):
-    """Depth of the light's front under (x, y), or 0 where it is not. A point known to be ``inside``
-    is never beside the sphere: at worst it touches."""
+def sphere_depth(x, y, sphere, lens, touches):
+    """Depth of the front of the light's sphere under the point (x, y), or 0 where there is none.
+    With ``touches`` the ray is known to meet the sphere; a ray that misses it by rounding then gets
+    the depth of the nearest approach."""
+    centre, radius = sphere.centre, sphere.radius
     dx, dy = (x - lens.centre_x) / lens.focal_x, -(y - lens.centre_y) / lens.focal_y
     along = dx * centre[0] + dy * centre[1] - centre[2]
     length = dx * dx + dy * dy + 1.0
-    # Distance of the ray from the centre, squared, without cancellation.
+    # The squared distance of the centre from the ray, by a cross product: without cancellation.
     ax = centre[1] * -1.0 - centre[2] * dy
     ay = centre[2] * dx + centre[0]
     az = centre[0] * dy - centre[1] * dx
     apart = (ax * ax + ay * ay + az * az) / length
-    if along <= 0 or (apart >= radius * radius and not inside):
+    if along <= 0 or (apart >= radius * radius and not touches):
         return 0.0
     depth = (along - np.sqrt(length * max(radius * radius - apart, 0.0))) / length
     return depth if lens.near <= depth <= lens.far else 0.0
 
 
 @jit
-def _lines(p):
+def _edge_functions(p):
     """Coefficients (3, 3) of the three edge functions of a triangle, each positive inside, and
-    whether pixel centres on the edge belong to it (top-left rule).
+    whether pixel centres on the edge belong to the triangle (top-left rule).
 
-    Two triangles that share an edge get exactly opposite numbers: the ends are put in an order
-    first.
+    The ends of an edge are put in an order first, so that two triangles that share the edge get
+    exactly opposite coefficients.
     """
     line = np.empty((3, 3))
     owns = np.empty(3, np.bool_)
@@ -62,8 +80,10 @@ def _lines(p):
 
 
 @jit
-def _label_rows(triangles, lens, centre, radius, first, last, label, q):
-    """Nearest surface at the pixel centres of rows first to last."""
+def _label_rows(scene, first, last, label, q):
+    """Fill ``label`` and ``q`` (1/depth) of rows first to before last with the nearest surface at
+    the pixel centres."""
+    triangles, sphere, lens = scene.triangles, scene.sphere, scene.lens
     width = label.shape[1]
     least_q = 1.0 / lens.far
     for t in range(triangles.label.shape[0]):
@@ -72,7 +92,7 @@ def _label_rows(triangles, lens, centre, radius, first, last, label, q):
         bottom = min(last - 1, int(np.floor(min(max(p[0, 1], p[1, 1], p[2, 1]) - 0.5, last + 0.0))))
         if top > bottom:
             continue
-        line, owns = _lines(p)
+        line, owns = _edge_functions(p)
         low, high = min(p[0, 0], p[1, 0], p[2, 0]), max(p[0, 0], p[1, 0], p[2, 0])
         for row in range(top, bottom + 1):
             y = row + 0.5
@@ -80,9 +100,9 @@ def _label_rows(triangles, lens, centre, radius, first, last, label, q):
             for k in range(3):
                 a, rest = line[k, 0], line[k, 1] * y + line[k, 2]
                 if a > 0:
-                    begin = max(begin, -rest / a - 1e-3)
+                    begin = max(begin, -rest / a - SPAN_MARGIN)
                 elif a < 0:
-                    end = min(end, -rest / a + 1e-3)
+                    end = min(end, -rest / a + SPAN_MARGIN)
             for column in range(int(np.ceil(begin - 0.5)), int(np.floor(end - 0.5)) + 1):
                 if column < 0 or column >= width:
                     continue
@@ -101,20 +121,23 @@ def _label_rows(triangles, lens, centre, radius, first, last, label, q):
                         label[row, column] = triangles.label[t]
     for row in range(first, last):
         for column in range(width):
-            depth = sphere_depth(column + 0.5, row + 0.5, lens, centre, radius, False)
+            depth = sphere_depth(column + 0.5, row + 0.5, sphere, lens, False)
             if depth > 0 and 1.0 / depth > q[row, column]:
                 q[row, column] = 1.0 / depth
-                label[row, column] = LIGHT
+                label[row, column] = LIGHT_LABEL
 
 
 @jit
-def seen_at(x, y, triangles, candidates, lens, centre, radius, rim):
-    """Label of the nearest surface at one point of the screen, and which triangle it is (-1 where
-    it is none). In the pixels that they cross, the edges ``rim`` (n, 4) of the light's outline say
-    where it is: the sphere lies up to thousandths of a pixel beside them, enough to take a narrow
-    cell for its neighbour."""
-    best, found, nearest = 1.0 / lens.far, BACKGROUND, -1
-    for t in candidates:
+def surface_at(x, y, pixel, scene):
+    """Label of the nearest surface at one point of a pixel, and its triangle (-1 for the light and
+    for none).
+
+    In the pixels that the light's outline crosses, its edges bound the light. The sphere lies up to
+    thousandths of a pixel beside these edges, enough to give a narrow cell its neighbour's label.
+    """
+    triangles, rim = scene.triangles, pixel.rim
+    nearest_q, label, nearest = 1.0 / scene.lens.far, BACKGROUND_LABEL, -1
+    for t in pixel.candidates:
         p = triangles.corners[t]
         w0 = (p[1, 0] - p[0, 0]) * (y - p[0, 1]) - (p[1, 1] - p[0, 1]) * (x - p[0, 0])
         if w0 < 0:
@@ -126,30 +149,29 @@ def seen_at(x, y, triangles, candidates, lens, centre, radius, rim):
         if w2 < 0 or w0 + w1 + w2 == 0:
             continue
         q = (w1 * p[0, 2] + w2 * p[1, 2] + w0 * p[2, 2]) / (w0 + w1 + w2)
-        if q > best:
-            best, found, nearest = q, triangles.label[t], t
+        if q > nearest_q:
+            nearest_q, label, nearest = q, triangles.label[t], t
     for x0, y0, x1, y1 in rim:
-        # The polygon is convex: within the pixel, those of its edges that cross it bound it.
+        # The outline is convex: within the pixel, the edges that cross the pixel bound it.
         if (x1 - x0) * (y - y0) < (y1 - y0) * (x - x0):
-            return found, nearest
-    depth = sphere_depth(x, y, lens, centre, radius, rim.shape[0] > 0)
-    if depth > 0 and depth * best < 1.0:
-        return LIGHT, -1
-    return found, nearest
+            return label, nearest
+    depth = sphere_depth(x, y, scene.sphere, scene.lens, rim.shape[0] > 0)
+    if depth > 0 and depth * nearest_q < 1.0:
+        return LIGHT_LABEL, -1
+    return label, nearest
 
 
-def label(
-    triangles: Triangles, lens: Lens, centre: np.ndarray, radius: float, size: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray]:
-    """What lies at the pixel centres: label (h, w) int32, 1/depth (h, w), 0 where nothing is."""
-    labels, q = np.full(size, BACKGROUND, np.int32), np.zeros(size)
-    share_rows(size[0], lambda a, b: _label_rows(triangles, lens, centre, radius, a, b, labels, q))
+def label_pixels(scene: ProjectedScene, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """The z-buffer of a picture of ``size`` (h, w): the label of the nearest surface at the pixel
+    centres, (h, w) int32, and 1/depth (h, w), 0 where there is none."""
+    labels, q = np.full(size, BACKGROUND_LABEL, np.int32), np.zeros(size)
+    map_row_bands(size[0], lambda first, last: _label_rows(scene, first, last, labels, q))
     return labels, q
 
 
-def share_rows(height: int, work: Callable[[int, int], Any]) -> list[Any]:
-    """Call work(first, last) for bands of rows, on all cores; what each returned, in order."""
-    # More bands than cores: objects seldom fill the picture evenly.
-    bands = min(height, 4 * cores() if cores() > 1 else 1)
-    at = [height * i // bands for i in range(bands + 1)]
-    return parallel_map(lambda rows: work(*rows), list(itertools.pairwise(at)))
+def map_row_bands(height: int, work: Callable[[int, int], Any]) -> list[Any]:
+    """The results of work(first, last) for bands of rows, run on all cores, in order of the
+    rows."""
+    bands = min(height, BANDS_PER_CORE * cores() if cores() > 1 else 1)
+    borders = [height * i // bands for i in range(bands + 1)]
+    return parallel_map(lambda rows: work(*rows), list(itertools.pairwise(borders)))

@@ -24,7 +24,7 @@ from godfit.inference.variable_projection import nonnegative_one
 from godfit.io.filters import grey, shrink
 from godfit.io.image import LEVELS, decode
 from godfit.models.atmosphere import zenith_angle
-from godfit.models.hoffman_preetham import LEAST_DEPTH, HoffmanPreetham
+from godfit.models.hoffman_preetham import MIN_OPTICAL_DEPTH, HoffmanPreetham
 from godfit.scattering.radial.nearest import read_rays
 from godfit.search.screening import SCREENING_SIZE, distinct_starts, light_grid, light_places
 
@@ -117,7 +117,7 @@ def daylight_starts(
     fine = ndimage.zoom(mask, 2, order=1, mode="nearest", grid_mode=True)
     lit = read_rays(jnp.asarray(fine), jnp.asarray(suns), jnp.asarray(at)).mean(1)
     shapes = _shapes(model, given)
-    distance, direction = model.view.seen((h, w), jnp.asarray(chosen))
+    distance, direction = model.view.rays((h, w), jnp.asarray(chosen))
     points = _Points(
         distance, direction, jnp.asarray(surface),
         jnp.asarray(target.reshape(h * w, -1)[chosen]),
@@ -153,6 +153,6 @@ def _shapes(model: HoffmanPreetham, given: dict[str, float]) -> np.ndarray:
                 model,
                 (jnp.float32(turbidity), jnp.float32(given["scale"])),
             )
-            depths = (max(float(here.coordinates()[1]), LEAST_DEPTH),)
+            depths = (max(float(here.coordinates()[1]), MIN_OPTICAL_DEPTH),)
         shapes += [(depth, turbidity, g) for depth in depths]
     return np.array(shapes, np.float32)

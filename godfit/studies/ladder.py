@@ -24,7 +24,7 @@ from godfit.inference.strategy import left_open
 from godfit.inference.strategy import starts as starts_of
 from godfit.models.base import AbstractModel
 from godfit.models.mitchell import Mitchell
-from godfit.models.tinted import TINT, Tinted
+from godfit.models.tinted import TINT_PARAMETERS, Tinted
 from godfit.report.result import FitResult
 from godfit.report.select import Rung
 from godfit.runtime.parallel import parallel_map
@@ -164,7 +164,9 @@ class Ladder:
         model = Tinted(below)
         shown = self.picture.levels.reshape(-1, 3).mean(0) + 1e-3
         z = self._coordinates(model)
-        tint = dict(zip([row.name for row in TINT], shown[[0, 2]] / shown[1], strict=True))
+        tint = dict(
+            zip([row.name for row in TINT_PARAMETERS], shown[[0, 2]] / shown[1], strict=True)
+        )
         z = np.array([tint.get(name, at) for name, at in zip(model.parameters, z, strict=True)])
         rung = self._fitted("+ colour", "a light of a colour", model, held, [z])
         return dataclasses.replace(rung, parameters=rung.parameters + extra)

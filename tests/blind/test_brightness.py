@@ -10,7 +10,8 @@ from godfit.blind.brightness import NARROW, SAME, WIDE, along_density, along_gai
 from godfit.blind.turns import Read, Turns
 from godfit.inference.observation import Picture
 from godfit.inference.solver import Point
-from godfit.models.disc_light import DENSITY, EDGE, GAIN, RADIUS, DiscLight
+from godfit.models.coordinates import DENSITY, EDGE, GAIN, RADIUS
+from godfit.models.disc_light import DiscLight
 from godfit.models.mitchell import Mitchell
 
 SIZE = (90, 160)

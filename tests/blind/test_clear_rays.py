@@ -15,7 +15,8 @@ from godfit.inference.observation import Picture
 from godfit.inference.solver import Point
 from godfit.io.filters import shrink
 from godfit.io.sources import read_source
-from godfit.models.disc_light import DENSITY, KAPPA, LIGHT_X, LIGHT_Y, RADIUS, DiscLight
+from godfit.models.coordinates import DENSITY, KAPPA, LIGHT_X, LIGHT_Y, RADIUS
+from godfit.models.disc_light import DiscLight
 from godfit.models.mitchell import Mitchell
 
 SIZE = (108, 192)

@@ -8,7 +8,8 @@ from godfit.blind import beginnings, glare, screenshot
 from godfit.inference.observation import Picture
 from godfit.io.image import LEVELS
 from godfit.io.sources import read_source
-from godfit.models.disc_light import VEIL, DiscLight
+from godfit.models.coordinates import VEIL
+from godfit.models.disc_light import DiscLight
 from godfit.models.mitchell import Mitchell
 from tests.support.synthetic import screens
 

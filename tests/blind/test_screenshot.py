@@ -21,18 +21,11 @@ from godfit.inference.observation import Picture
 from godfit.inference.problem import Problem
 from godfit.inference.solver import Point, solve
 from godfit.io.sources import read_source, shrink_mask
+from godfit.models.background import DARKEST_BACKGROUND, TERM_COUNTS
+from godfit.models.bare_picture import DERIVATIVE_EDGE
 from godfit.models.bright_pass import BrightPass
-from godfit.models.disc_light import (
-    DARKEST,
-    FIRST,
-    GAIN,
-    LIGHT_X,
-    LIGHT_Y,
-    SOFT,
-    TERMS,
-    VEIL,
-    DiscLight,
-)
+from godfit.models.coordinates import FIRST_BACKGROUND, GAIN, LIGHT_X, LIGHT_Y, VEIL
+from godfit.models.disc_light import DiscLight
 from godfit.models.mitchell import Mitchell
 from godfit.report.verdict import _undetermined_place
 from tests.support.synthetic import screens
@@ -110,7 +103,7 @@ def test_derivatives_agree_with_differences():
     found = np.asarray(jax.jit(jax.jacfwd(predict))(jnp.asarray(z)))
     for i in range(len(z)):
         step = np.zeros(len(z))
-        step[i] = 1e-7 if i < FIRST else 1e-4
+        step[i] = 1e-7 if i < FIRST_BACKGROUND else 1e-4
         central = (predict(z + step) - predict(z - step)) / (2 * step[i])
         size = np.abs(found[:, i]).max()
         np.testing.assert_allclose(found[:, i], central, atol=2e-4 * size + 1e-9)
@@ -152,11 +145,11 @@ def test_slopes_of_the_mask_are_those_of_dual_numbers(edge):
 
         def mask(place, model=model):
             numbers = jnp.concatenate([jnp.stack([*model.shading.values().values()])[:4], place])
-            least = () if isinstance(model, BrightPass) else (SOFT,)
-            return model._with(numbers).occlusion(open_, *least)
+            least = () if isinstance(model, BrightPass) else (DERIVATIVE_EDGE,)
+            return model._with_numbers(numbers).occlusion(open_, *least)
 
         expected = jax.jit(jax.jacfwd(mask))(place)
-        found = np.stack(model.occlusion_slopes(open_, SOFT), -1)
+        found = np.stack(model.occlusion_slopes(open_, DERIVATIVE_EDGE), -1)
         size = np.abs(expected).max((0, 1))
         assert (size[2 * isinstance(model, BrightPass) :] > 0)[[0, 2]].all()
         np.testing.assert_allclose(found, expected, atol=1e-9 * (1 + size.max()))
@@ -167,7 +160,7 @@ def test_the_picture_is_linear_in_what_disc_and_veil_add():
     z = np.array(model.coordinates())
     # A pixel's own value, which exposure alone scales, knows the veil's share and not its light.
     z[0] = 1e-9
-    z[FIRST:] = 0
+    z[FIRST_BACKGROUND:] = 0
 
     def picture(disc, veil):
         at = model.moved(np.concatenate([z[:GAIN], [disc], z[4:VEIL], [veil], z[9:]]))
@@ -377,7 +370,9 @@ def share_explained(screen, u, v):
     t = screen.truth
     four = (t[name] for name in ("exposure", "decay", "density", "weight"))
     shading = Mitchell(*four, [[u, v]], "dawntime", int(t["samples"]))
-    model = DiscLight(shading, [t["radius"], 1e-5, t["veil"]], np.zeros((TERMS[unaided.FINER], 3)))
+    model = DiscLight(
+        shading, [t["radius"], 1e-5, t["veil"]], np.zeros((TERM_COUNTS[unaided.FINER], 3))
+    )
     z = np.asarray(model.coordinates(), np.float32)
     held = np.full(len(z), np.nan, np.float32)
     seen = picture.observe(np.flatnonzero(picture.valid))
@@ -474,17 +469,18 @@ def test_no_background_is_much_darker_than_black():
     picture = Picture.make(read_source(levels, "none"), open_, None, None)
     start = np.array(model.coordinates(), np.float32)
     start[VEIL] *= 10
-    free, held = np.arange(len(start)) >= FIRST, np.full_like(start, np.nan)
+    free, held = np.arange(len(start)) >= FIRST_BACKGROUND, np.full_like(start, np.nan)
     seen = picture.observe(np.arange(0, SIZE[0] * SIZE[1], 7))
-    problem = Problem(model, picture, free, held)
-    found = solve(start, problem, seen, 1.0).coordinates
-    assert (found[FIRST : FIRST + 2] == np.float32(DARKEST)).all()
-    assert DARKEST < found[FIRST + 2] < 0.6
-    anyhow = solve(start, problem, seen, 1.0, bounded=False).coordinates
-    assert (anyhow[FIRST : FIRST + 2] < 2 * DARKEST).all()
-    field = DiscLight(model.shading, model.shape, np.zeros((TERMS[1], 3)))
+    found = solve(start, Problem(model, picture, free, held), seen, 1.0).coordinates
+    assert (found[FIRST_BACKGROUND : FIRST_BACKGROUND + 2] == np.float32(DARKEST_BACKGROUND)).all()
+    assert DARKEST_BACKGROUND < found[FIRST_BACKGROUND + 2] < 0.6
+    anyhow = solve(start, Problem(model, picture, free, held), seen, 1.0, bounded=False).coordinates
+    assert (anyhow[FIRST_BACKGROUND : FIRST_BACKGROUND + 2] < 2 * DARKEST_BACKGROUND).all()
+    field = DiscLight(model.shading, model.shape, np.zeros((TERM_COUNTS[1], 3)))
     for each in (model, field):
-        assert [p.lower for p in each.parameters.values()][FIRST:] == each.bounds()[0][FIRST:]
+        assert [p.lower for p in each.parameters.values()][FIRST_BACKGROUND:] == each.bounds()[0][
+            FIRST_BACKGROUND:
+        ]
 
 
 def test_what_is_held_makes_the_same_light_of_fewer_taps():

@@ -17,7 +17,8 @@ from godfit.blind.turns import Read, Turns
 from godfit.inference.evaluate import predicted
 from godfit.inference.observation import Picture
 from godfit.inference.solver import Point
-from godfit.models.disc_light import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, VEIL, DiscLight
+from godfit.models.coordinates import DENSITY, EDGE, GAIN, LIGHT_X, LIGHT_Y, RADIUS, VEIL
+from godfit.models.disc_light import DiscLight
 from godfit.models.mitchell import Mitchell
 
 SIZE = (90, 160)

@@ -83,7 +83,7 @@ def test_thin_air_is_its_limit():
 def test_shortened_joins_its_series():
     x = jnp.array([0.0, 1e-12, 9.99e-4, 1.001e-3, 1.0, 50.0])
     exact = np.where(x == 0, 1.0, -np.expm1(-np.asarray(x)) / np.where(x == 0, 1.0, x))
-    np.testing.assert_allclose(atmosphere.shortened(x), exact, rtol=1e-13)
+    np.testing.assert_allclose(atmosphere.path_transmission(x), exact, rtol=1e-13)
 
 
 @jax.jit

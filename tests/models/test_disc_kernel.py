@@ -45,9 +45,9 @@ def mask_and_points(most=1.3):
 def test_it_is_the_sum_over_the_whole_mask(light, radius, edge, cut, most, shader):
     """And so are its derivatives, wherever the light and however large and soft the disc is."""
     model, (mask, at) = model_at(light, radius, edge, cut, shader), mask_and_points(most)
-    (value,) = model._in_one(mask, at, False)
-    found = model._in_one(mask, at, True)
-    right = model._of_the_whole(mask, at, "reference", True)
+    (value,) = model._sum_by_kernel(mask, at, False)
+    found = model._sum_by_kernel(mask, at, True)
+    right = model._sum_over_mask(mask, at, "reference", True)
     np.testing.assert_allclose(value, right[0], rtol=0, atol=1e-12 * np.abs(right[0]).max())
     for part, whole in zip(found, right, strict=True):
         size = np.abs(whole).max()
@@ -68,7 +68,7 @@ def test_it_is_what_a_model_of_some_points_uses(monkeypatch):
     pixels = jnp.arange(5, 5800)
 
     def shown(light, mask, method):
-        here = model._with(jnp.concatenate([model._numbers[:4], light, model.shape]))
+        here = model._with_numbers(jnp.concatenate([model._pass_numbers[:4], light, model.shape]))
         return here.light_pass(mask, size=SIZE, pixels=pixels, method=method)
 
     lights = jnp.array([[0.5137, 0.4921], [0.2, 0.9], [1.04, 0.5]])
@@ -84,10 +84,10 @@ def test_it_is_what_a_model_of_some_points_uses(monkeypatch):
 
 def test_what_is_no_number_gives_none():
     model, (mask, at) = model_at((np.nan, 0.5)), mask_and_points()
-    assert np.isnan(model._in_one(mask, at, True)[0]).all()
+    assert np.isnan(model._sum_by_kernel(mask, at, True)[0]).all()
 
 
 def test_a_light_without_an_end_adds_nothing():
     """Far beyond what a whole number holds."""
     model, (mask, at) = model_at((1e30, 0.5)), mask_and_points()
-    assert np.isfinite(model._in_one(mask, at, False)[0]).all()
+    assert np.isfinite(model._sum_by_kernel(mask, at, False)[0]).all()

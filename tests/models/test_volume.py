@@ -15,7 +15,7 @@ from godfit.models.atmosphere import Air, hoffman_preetham, sunlight
 from godfit.models.build import view_of_scene
 from godfit.models.volume import march, render, trace, view_rays
 from godfit.scenes.scene import read_scene
-from godfit.scenes.shadow_maps import shadows
+from godfit.scenes.shadow_maps import shadow_map
 from tests.support import mitsuba_scenes as theirs
 
 REFERENCES = Path(__file__).parent / "volume_references.npz"
@@ -61,7 +61,7 @@ def traced(scene, source="sun", steps=128, resolution=1024, length=None):
     pixels = np.arange(scene.size[0] * scene.size[1])
     if length is None:
         length = np.asarray(view_of_scene(scene).distance, np.float64).reshape(-1)
-    shadow = shadows(scene, source, resolution)
+    shadow = shadow_map(scene, source, resolution)
     return trace(scene, view_rays(scene, pixels), length, shadow, source, steps)
 
 

@@ -352,7 +352,7 @@ def test_light_behind_the_camera(antialias):
 
 
 def test_too_many_contours(monkeypatch):
-    monkeypatch.setattr(raster, "FRAGMENTS", 0)
+    monkeypatch.setattr(raster, "FRAGMENT_ROOM", 0)
     scene = stage(thing("box", (0.4, 0.3, 0), (20, 30, 10), sizes=BOX), size=(4, 4), radius=2.0)
     with pytest.raises(Exception, match="pieces of contour in 4x4 pixels"):
         jax.block_until_ready(raster.rasterise(scene))
@@ -386,13 +386,11 @@ def test_whole_outline_of_the_light_counts(crossing):
     for _ in range(10):
         x, y, radius = rng.uniform([-0.8, -0.6, 0.1], [0.8, 0.6, 1.0])
         view = raster._view(stage(light=(x, y, -2), radius=radius, size=(240, 320)))
-        corners, edges, centre, radius, lens, triangles, cuts, label, _ = raster._drawn(
-            (240, 320), 0.1, 50.0, tuple(view)
-        )
-        outline = projection.screen_edges(corners, edges, 0, cuts, lens, (240, 320))
-        found = contours.contours(
-            triangles, outline, label, np.array([0, 1]), 2, lens, centre, radius, crossing
-        )
+        drawing = raster._draw((240, 320), 0.1, 50.0, view)
+        corners, edges = drawing.mesh.vertices, np.asarray(view.edges)
+        sources = projection.EdgeSources(corners, edges, 0, drawing.cuts)
+        outline = projection.screen_edges(sources, drawing.scene.lens, (240, 320))
+        found = contours.contours(drawing.scene, outline, drawing.label, np.array([0, 1]), crossing)
         along = outline.ends[:, 2:] - outline.ends[:, :2]
         length = np.linalg.norm(along, axis=-1)
         across = np.stack([along[:, 1], -along[:, 0]], -1) / length[:, None]
@@ -417,12 +415,13 @@ class TestTopLeftRule:
     LENS = projection.Lens(4.0, 4.0, 4.0, 4.0, 0.1, 100.0)
 
     def labels(self, vertices, faces, face_label):
-        triangles, _ = projection.screen_triangles(
-            np.array(vertices, float), np.array(faces, np.int32), np.array(face_label, np.int32),
-            self.LENS, (8, 8),
-        )  # fmt: skip
-        nowhere = np.array([0.0, 900.0, -1.0])
-        return visibility.label(triangles, self.LENS, nowhere, 0.1, (8, 8))[0]
+        shape = projection.CameraMesh(
+            np.array(vertices, float), np.array(faces, np.int32), np.array(face_label, np.int32)
+        )
+        triangles, _ = projection.screen_triangles(shape, self.LENS, (8, 8))
+        nowhere = projection.Sphere(np.array([0.0, 900.0, -1.0]), 0.1)
+        scene = projection.ProjectedScene(triangles, nowhere, self.LENS)
+        return visibility.label_pixels(scene, (8, 8))[0]
 
     @pytest.mark.parametrize("turned", [False, True])
     def test_borders_through_pixel_centres(self, turned):

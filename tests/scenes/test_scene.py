@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from godfit.errors import InputError
 from godfit.scenes import mesh
 from godfit.scenes.mesh import edges
-from godfit.scenes.scene import OBJECT, Scene, read_scene
+from godfit.scenes.scene import OBJECT_FIELDS, Scene, read_scene
 from tests.support.paths import SHARED
 
 MODELS = SHARED / "models"
@@ -264,7 +264,7 @@ def scene(tmp_path) -> Scene:
 
 def test_every_name_can_be_asked_for_and_replaced(scene):
     assert {"light.position", "light.radius", "camera.fov_y", "object[1].scale"} < set(scene.names)
-    assert len(scene.names) == 6 + 2 * len(OBJECT)
+    assert len(scene.names) == 6 + 2 * len(OBJECT_FIELDS)
     values = {name: scene.value(name) + i + 1 for i, name in enumerate(scene.names)}
     changed = scene.replaced(values)
     for name in scene.names:

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from godfit.io.image import read_image
-from godfit.models.disc_light import GAIN, VEIL, DiscLight
+from godfit.models.coordinates import GAIN, VEIL
+from godfit.models.disc_light import DiscLight
 from godfit.models.mitchell import Mitchell
 from godfit.studies import clip
 

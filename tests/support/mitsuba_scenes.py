@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from godfit.models.atmosphere import LEAST_TURBIDITY, Air
+from godfit.models.atmosphere import MIN_TURBIDITY, Air
 from godfit.scenes.scene import Scene, read_scene
 
 SIZE, HALF = 16, 6.0
@@ -31,7 +31,7 @@ RING = (
     '[[object]]\nprimitive = "torus"\nradius = 0.9\ntube = 0.15\n'
     "position = [0, 0, -3]\nrotation = [60, 20, 0]\n"
 )
-HAZE, CLEAR = 1.0, LEAST_TURBIDITY
+HAZE, CLEAR = 1.0, MIN_TURBIDITY
 REFERENCES = {
     "box, forward haze": Reference(BOX, (0.3, 0.5, -4.0), (2.0, 0.6, 15.0, HAZE)),
     "ball, even haze": Reference(BALL, (-0.9, 0.8, -3.2), (2.0, 0.0, 25.0, HAZE)),

@@ -88,6 +88,8 @@ def supersampled(scene: Scene, factor: int = 32) -> np.ndarray:
     """
     view = raster._view(scene)
     vertices, faces, face_label, _, centre, radius, focal = map(np.asarray, view)
+    shape = projection.CameraMesh(vertices.astype(float), faces, face_label)
+    sphere = projection.Sphere(centre.astype(float), float(radius))
     height, width = scene.size
     colours = raster.palette(scene)
     by_label = [scene.background, scene.light.colour, *(o.colour for o in scene.objects)]
@@ -106,10 +108,9 @@ def supersampled(scene: Scene, factor: int = 32) -> np.ndarray:
             scene.camera.near, scene.camera.far,
         )  # fmt: skip
         size = rows * factor, width * factor
-        triangles, _ = projection.screen_triangles(
-            vertices.astype(float), faces, face_label, lens, size
-        )
-        label, _ = visibility.label(triangles, lens, centre.astype(float), float(radius), size)
+        triangles, _ = projection.screen_triangles(shape, lens, size)
+        projected = projection.ProjectedScene(triangles, sphere, lens)
+        label, _ = visibility.label_pixels(projected, size)
         cells = counter[label].reshape(rows, factor, width, factor).sum(3).sum(1)
         counts = cells[..., None] >> DIGIT * np.arange(len(colours)) & (2**DIGIT - 1)
         share[first : first + rows] = counts / factor**2

@@ -1,0 +1,39 @@
+"""Models whose light pass is Mitchell's sum, with something around it."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import equinox as eqx
+
+from godfit.models.base import AbstractModel
+from godfit.models.mitchell import Mitchell
+from godfit.scattering.taps import Convention, Taps
+
+
+class AbstractShaded(AbstractModel):
+    """A model with an inner ``shading``, which holds the scattering, its shader and its settings.
+    Coordinates begin with those of the shading."""
+
+    held_last: ClassVar[str] = Mitchell.held_last
+    product: ClassVar[tuple[str, str]] = Mitchell.product
+
+    shading: eqx.AbstractVar[Mitchell]
+
+    @property
+    def convention(self) -> Convention:
+        """The convention of the shading's shader."""
+        return self.shading.convention
+
+    @property
+    def samples(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.shading.samples
+
+    @property
+    def settings(self) -> dict[str, str | int | float]:
+        return self.shading.settings
+
+    @property
+    def taps(self) -> tuple[Taps, ...]:
+        """The taps of each pass of the shader."""
+        return self.shading.taps
