@@ -285,7 +285,7 @@ def make_screenshot(
         data = imagecodecs.jpeg_encode(screen.image, level=quality)
     atomic_write(folder / target, bytes(data))
     params = dict(screen.truth)
-    settings = {"shader": screens.SHADER, "samples": params.pop("samples")}
+    settings = {"shader": screens.SCREENSHOT_SHADER, "samples": params.pop("samples")}
     side_file = f'[scattering]\nshader = "{settings["shader"]}"\nsamples = {settings["samples"]}\n'
     atomic_write(folder / f"{name}.toml", side_file.encode())
     more = {"panels": screen.panels, "pass_scale": screen.pass_scale, "kind": background}

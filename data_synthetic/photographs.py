@@ -16,7 +16,7 @@ from scipy import ndimage
 from godfit.models.bright_pass import brightness
 from godfit.models.mitchell import Mitchell
 
-SHADER = "dawntime"
+PHOTOGRAPH_SHADER = "dawntime"
 """The convention of the light pass."""
 
 STREAM = 7
@@ -95,6 +95,6 @@ def _light_pass(mask: np.ndarray, truth: dict[str, float]) -> np.ndarray:
     """(h, w) the light pass of a mask (h, w), linear."""
     model = Mitchell(
         truth["exposure"], truth["decay"], truth["density"], truth["weight"],
-        [[truth["light_x"], truth["light_y"]]], SHADER, int(truth["samples"]),
+        [[truth["light_x"], truth["light_y"]]], PHOTOGRAPH_SHADER, int(truth["samples"]),
     )  # fmt: skip
     return np.asarray(model(jnp.asarray(mask), size=mask.shape))

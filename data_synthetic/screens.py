@@ -19,7 +19,7 @@ from godfit.models.mitchell import Mitchell
 BACKGROUNDS = ("flat", "smooth", "textured")
 """Kinds of backgrounds; the place of one is part of its screenshots' seeds."""
 
-SHADER = "dawntime"
+SCREENSHOT_SHADER = "dawntime"
 """The convention of the light pass where none is chosen."""
 
 RAYLESS = "rayless"
@@ -59,7 +59,7 @@ def make_screenshot(
     background: str,
     size: tuple[int, int] = (270, 480),
     *,
-    shader: str = SHADER,
+    shader: str = SCREENSHOT_SHADER,
     frame: ClipFrame | None = None,
     tint: tuple[float, float, float] = (1.0, 1.0, 1.0),
 ) -> Screenshot:

@@ -65,7 +65,7 @@ def judged(seed: int, count: int, kind: str) -> np.ndarray:
     began = time.perf_counter()
     truth, path, frames = clip(seed, count, kind)
     samples = int(truth["samples"])
-    result = godfit.fit_clip(frames, shader=screens.SHADER, samples=samples)
+    result = godfit.fit_clip(frames, shader=screens.SCREENSHOT_SHADER, samples=samples)
     used = [f for f in result.frames if not f.message]
     out = np.array(
         [

@@ -67,7 +67,7 @@ def says_so(seed: int) -> bool:
     """Whether the fit of a picture without rays ends with that."""
     began = time.perf_counter()
     subject, picture = screens.without_rays(seed)
-    result = godfit.fit(picture, shader=screens.SHADER)
+    result = godfit.fit(picture, shader=screens.SCREENSHOT_SHADER)
     told = not result.converged and "no rays" in result.message
     seconds = time.perf_counter() - began
     print(f"{subject:<9}{seed:>5}  {result.message[:70]}  {seconds:.1f} s", flush=True)
@@ -77,11 +77,13 @@ def says_so(seed: int) -> bool:
 def fitted(screen: screens.Screenshot | photographs.Photograph) -> godfit.FitResult:
     samples = int(screen.truth["samples"])
     if isinstance(screen, photographs.Photograph):
-        return godfit.fit(screen.image, bright_pass=True, shader=screens.SHADER, samples=samples)
+        return godfit.fit(
+            screen.image, bright_pass=True, shader=screens.SCREENSHOT_SHADER, samples=samples
+        )
     valid = np.ones(screen.image.shape[:2], bool)
     for x, y, w, h in screen.panels:
         valid[y : y + h, x : x + w] = False
-    return godfit.fit(screen.image, shader=screens.SHADER, samples=samples, valid=valid)
+    return godfit.fit(screen.image, shader=screens.SCREENSHOT_SHADER, samples=samples, valid=valid)
 
 
 JUDGED = ("light_x", "light_y", "decay", "density", "gain")

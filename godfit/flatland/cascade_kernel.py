@@ -161,7 +161,7 @@ def _merge_double(frame):
     return _merge(frame, np.float64)
 
 
-FUNCTIONS = {
+CASCADE_FUNCTIONS = {
     ("merge", False): _merge_single,
     ("merge", True): _merge_double,
 }

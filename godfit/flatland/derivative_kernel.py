@@ -9,7 +9,7 @@ from godfit.flatland.walk_kernel import ESCAPED, first_step, most_hits, walk
 from godfit.runtime.numba_jit import fast_jit, inlined_jit
 from godfit.runtime.xla_ffi import answers_version_query, matrix, result, vector
 
-OPAQUE_CELLS = 2
+DERIVATIVE_OPAQUE_CELLS = 2
 """A derivative's walk goes on to the second opaque cell: the opacity of the first has a derivative,
 which depends on what lies behind it."""
 
@@ -19,7 +19,7 @@ def _walk_all(inputs, plan, ray, own_cell, hits):
     """``walk`` from a ray's own cell on, as far as a derivative depends on it."""
     t, used = first_step(inputs.grid.free_distance, ray, plan.stepping)
     unlimited = inputs.grid.free_distance.dtype.type(np.inf)
-    limits = Limits(t, unlimited, plan.max_steps - used, OPAQUE_CELLS)
+    limits = Limits(t, unlimited, plan.max_steps - used, DERIVATIVE_OPAQUE_CELLS)
     return walk(inputs.grid, ray, own_cell, plan.stepping, limits, hits)
 
 
@@ -50,9 +50,9 @@ def _tangent_rows(inputs, plan, d_cells, d_sky, out):
                     cell = hits[n]
                     for c in range(3):
                         to[c] += d_transmittance * cells[cell, c] + transmittance * d_cells[cell, c]
-                    open_ = 1 - cells[cell, 3]
-                    d_transmittance = d_transmittance * open_ - transmittance * d_cells[cell, 3]
-                    transmittance *= open_
+                    through = 1 - cells[cell, 3]
+                    d_transmittance = d_transmittance * through - transmittance * d_cells[cell, 3]
+                    transmittance *= through
                 if ended == ESCAPED:
                     for c in range(3):
                         to[c] += d_transmittance * sky[k, c] + transmittance * d_sky[k, c]
@@ -68,7 +68,7 @@ def _transpose_rows(inputs, plan, end_row, cotangent, out):
     real, width = free_distance.dtype.type, free_distance.shape[1]
     hits = np.empty(most_hits(free_distance), np.int64)
     share = real(1) / real(rays)
-    # Of every hit, the transmittance up to it; and the radiance that comes from behind it.
+    # The transmittance up to every hit, and the radiance that reaches it from behind.
     transmittance, behind = np.empty(len(hits) + 1, real), np.empty(3, real)
     to = out[0]
     to[:] = 0
@@ -136,7 +136,7 @@ def _transpose_double(frame):
     return _transpose(frame, np.float64)
 
 
-FUNCTIONS = {
+DERIVATIVE_FUNCTIONS = {
     ("tangent", False): _tangent_single,
     ("tangent", True): _tangent_double,
     ("transpose", False): _transpose_single,

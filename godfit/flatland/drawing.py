@@ -37,8 +37,8 @@ EDGE_SOFTNESS = 1.0
 
 class Shape(eqx.Module):
     """A disc (centre, radius), a segment (start, end, thickness), a box (centre, size, angle in
-    degrees) or a polygon (points (n, 2), in order either way round, not crossing itself), of one
-    radiance (3,) and opacity ()."""
+    degrees) or a polygon (points (n, 2)), of one radiance (3,) and opacity (). A polygon's points
+    are in order, either way round, and its outline does not cross itself."""
 
     kind: str = eqx.field(static=True)
     numbers: dict[str, Float[Array, "..."]]
@@ -182,7 +182,7 @@ def _radiance(table: Table, key: str) -> list[float]:
     value = table.get(key, "#000000", "a colour")
     if isinstance(value, str):
         return list(table.colour(key, "#000000"))
-    found = table.numbers(key, 3)
-    if min(found) < 0:
+    numbers = table.numbers(key, 3)
+    if min(numbers) < 0:
         raise table.error(key, "three numbers of 0 or more", repr(value))
-    return found
+    return numbers

@@ -26,16 +26,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int32
 
-from godfit.flatland import cascade_kernel, derivative_kernel, render_kernel
 from godfit.flatland.canvas import Canvas
+from godfit.flatland.cascade_kernel import CASCADE_FUNCTIONS
+from godfit.flatland.derivative_kernel import DERIVATIVE_FUNCTIONS
 from godfit.flatland.jump_flood import jump_flood
 from godfit.flatland.kernel_records import Grid, TraceInputs
+from godfit.flatland.render_kernel import RENDER_FUNCTIONS
 from godfit.flatland.walk_kernel import FILLED, OUTSIDE
 from godfit.runtime.xla_ffi import declare, register
 
 XLA_NAMES = declare(
     "godfit_flatland",
-    render_kernel.FUNCTIONS | derivative_kernel.FUNCTIONS | cascade_kernel.FUNCTIONS,
+    RENDER_FUNCTIONS | DERIVATIVE_FUNCTIONS | CASCADE_FUNCTIONS,
 )
 """Names of the compiled functions in XLA, by (function, whether in double precision)."""
 

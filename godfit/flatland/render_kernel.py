@@ -150,7 +150,7 @@ def _render_double(frame):
     return _render(frame, np.float64)
 
 
-FUNCTIONS = {
+RENDER_FUNCTIONS = {
     ("render", False): _render_single,
     ("render", True): _render_double,
 }

@@ -11,7 +11,7 @@ from godfit.models.bright_pass import LUMA, BrightPass, brightness
 from godfit.models.mitchell import Mitchell
 from tests.support.synthetic import photographs
 
-SHADER, taken = photographs.SHADER, photographs.make_photograph
+SHADER, taken = photographs.PHOTOGRAPH_SHADER, photographs.make_photograph
 
 SIZE = (135, 240)
 
