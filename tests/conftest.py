@@ -97,8 +97,28 @@ LONG = (
 )  # fmt: skip
 
 
+# Whole fits of bare pictures, photographs, light in the plane, caches and data_synthetic: files, or
+# folders of them, that ``-m "not slow"`` leaves out.
+SLOW = (
+    "blind", "flatland/test_fitting.py", "flatland/test_gradients.py", "flatland/test_published.py",
+    "runtime/test_cache.py", "runtime/test_program_cache.py", "test_data_synthetic.py",
+    "test_synthetic_fits.py", "test_stability.py", "test_lmfit.py", "test_experiments.py",
+    "models/test_staged.py", "studies/test_clip.py", "studies/test_compare.py",
+    "studies/test_select.py", "studies/test_profile_likelihood.py",
+    "inference/test_indirect_inference.py", "inference/test_diagnostics.py",
+    "commands/test_command_line.py", "models/test_disc_kernel.py",
+)  # fmt: skip
+
+
 def pytest_collection_modifyitems(items):
     tests = Path(__file__).parent
+    slow = [tests / name for name in SLOW]
+    absent = [str(path) for path in slow if not path.exists()]
+    if absent:
+        raise pytest.UsageError(f"SLOW: expected files or folders of tests, got {absent}")
+    for item in items:
+        if any(path == item.path or path in item.path.parents for path in slow):
+            item.add_marker(pytest.mark.slow)
     place = {tests / f"{name}.py": i for i, name in enumerate(LONG)}
     missing = [str(path) for path in place if not path.is_file()]
     if missing:

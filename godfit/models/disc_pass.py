@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from godfit.models.disc_kernel import SLOPE_ROWS, VALUE_ROWS, disc_target
 from godfit.scattering.radial.derivatives import RayParameters
+from godfit.scattering.taps import Count
 
 POINTS_OF_ONE_CALL = 4096
 """Points up to which one call is made: XLA's threads are not worth their start for fewer."""
@@ -49,7 +50,7 @@ def disc_pass(
     open_: Float[Array, "h w"],
     at: Float[Array, "2 n"],
     numbers: RayParameters,
-    count: int,
+    count: Count,
     disc: DiscShape,
     slopes: bool,
 ) -> Lit:
