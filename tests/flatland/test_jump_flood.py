@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.ndimage import distance_transform_edt
 
-from godfit.flatland import jump_flood
+from godfit.flatland.jump_flood import jump_flood as flood
 
-jump_flood = jax.jit(jump_flood.jump_flood, static_argnames="spacing")
+jump_flood = jax.jit(flood, static_argnames="spacing")
 
 
 def discs(h, w, n, seed):
@@ -165,24 +165,24 @@ def test_compiled_once():
     @jax.jit
     def flood(seeds):
         traces.append(seeds.shape)
-        return jump_flood.jump_flood(seeds)
+        return flood(seeds)
 
     first = flood(scattered(20, 30, 0.1, 11))
     flood(scattered(20, 30, 0.1, 12))
     assert traces == [(20, 30)]
     assert not any(z.weak_type for z in first)
-    eager = jump_flood.jump_flood(jnp.asarray(scattered(20, 30, 0.1, 11)))
+    eager = flood(jnp.asarray(scattered(20, 30, 0.1, 11)))
     jax.tree.map(np.testing.assert_array_equal, first, eager)
 
 
 @pytest.mark.parametrize("spacing", [(0.0, 1.0), (1.0, -1.0), (np.inf, 1.0), (1.0, np.nan)])
 def test_bad_spacing(spacing):
     with pytest.raises(ValueError, match="expected two positive, finite numbers, got"):
-        jump_flood.jump_flood(jnp.ones((2, 2), bool), spacing)
+        flood(jnp.ones((2, 2), bool), spacing)
 
 
 def test_too_large():
     seeds = jax.ShapeDtypeStruct((1, 32769), bool)
     with pytest.raises(ValueError, match="at most 32768 rows and columns, got 1 x 32769"):
-        jax.eval_shape(jump_flood.jump_flood, seeds)
-    jax.eval_shape(jump_flood.jump_flood, jax.ShapeDtypeStruct((32768, 32768), bool))
+        jax.eval_shape(flood, seeds)
+    jax.eval_shape(flood, jax.ShapeDtypeStruct((32768, 32768), bool))

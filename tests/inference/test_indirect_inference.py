@@ -37,7 +37,7 @@ def test_the_answer_is_freed_of_what_the_target_went_through(made, scale):
     assert result.pixels_effective < 0.5 * result.pixels
     assert result.simulated
     for ask in (lambda: profile(result, "density"), lambda: posterior(result)):
-        with pytest.raises(godfit.InputError, match="that the likelihood alone explains"):
+        with pytest.raises(godfit.InputError, match="whose only errors are noise and rounding"):
             ask()
     # Without asking what may be wrong, the same as if what is left were noise: its errors are too
     # small for what they miss.

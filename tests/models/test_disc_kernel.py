@@ -57,13 +57,13 @@ def test_it_is_the_sum_over_the_whole_mask(light, radius, edge, cut, most, shade
 
 def test_it_is_what_a_model_of_some_points_uses(monkeypatch):
     """In single precision too, and many at a time."""
-    used, in_one = [], DiscLight._in_one
+    used, in_one = [], DiscLight._sum_by_kernel
 
     def recorded(self, open_, at, slopes):
         used.append(open_.dtype)
         return in_one(self, open_, at, slopes)
 
-    monkeypatch.setattr(DiscLight, "_in_one", recorded)
+    monkeypatch.setattr(DiscLight, "_sum_by_kernel", recorded)
     model, (mask, _) = model_at((0.5137, 0.4921), 0.3, 0.001), mask_and_points(1.0)
     pixels = jnp.arange(5, 5800)
 

@@ -10,13 +10,13 @@ import pytest
 
 import godfit
 from godfit.errors import InputError
-from godfit.models import staged
 from godfit.models.mitchell import Mitchell
 from godfit.models.staged import Staged
 from godfit.scenes import mesh
 from godfit.scenes.raster import on_screen, rasterise
 from godfit.scenes.scene import Camera, Light, Object, Scene
 from godfit.scenes.view import drawn_mask
+from godfit.search import placement
 from tests.support import random_targets
 
 SIZE, SAMPLES = 96, 40
@@ -94,7 +94,7 @@ def test_edge_pixels_fall_as_the_target_has_them():
 
 @pytest.mark.usefixtures("single_precision")
 def test_light_and_object_are_found_again(monkeypatch):
-    monkeypatch.setattr(staged, "PLACEMENTS", 30)
+    monkeypatch.setattr(placement, "PLACEMENTS", 30)
     scene = stage()
     image, truth = target(scene, drawn_mask(scene, True))
     start = scene.replaced(

@@ -8,7 +8,7 @@ import pytest
 from godfit.inference.observation import Picture
 from godfit.io.filters import blurred, blurred_at
 from godfit.runtime.parallel import map_halves
-from godfit.search.screening import _solve, distinct_starts, light_grid
+from godfit.search.screening import _solve, _View, distinct_starts, light_grid
 
 
 @pytest.mark.parametrize("sigma", [0.3, 1.0, 3.0, 40.0])
@@ -72,12 +72,12 @@ def test_starts_are_the_cheapest_that_are_apart():
 def test_lights_are_solved_for_in_halves():
     rng = np.random.default_rng(3)
     rays, shapes = rng.random((6, 5, 30)), rng.random((4, 5))
-    given = (jnp.asarray(shapes), *(jnp.asarray(rng.random(30)) for _ in range(3)))
+    given = jnp.asarray(shapes), *(jnp.asarray(rng.random(30)) for _ in range(3))
     with jax.enable_x64(False):
         rays, given = jnp.asarray(rays, jnp.float32), [z.astype(jnp.float32) for z in given]
 
         def costs(places):
-            return _solve(rays[places], *given)
+            return _solve(rays[places], given[0], _View(*given[1:]))
 
         whole = costs(np.arange(6))
         even, odd = map_halves(costs, np.arange(6)), map_halves(costs, np.arange(5), 2)
