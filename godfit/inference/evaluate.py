@@ -18,14 +18,17 @@ from godfit.runtime.program_cache import RunTime, cached_jit
 
 def model_at(z, held, model):
     """The ``model`` moved to ``z``, with parameters ``held``."""
-    return eqx.combine(_moved(z, held, model), model)
+    leaves, tree = jax.tree.flatten(model)
+    moved = zip(_moved_leaves(z, held, model), leaves, strict=True)
+    return jax.tree.unflatten(tree, [old if new is None else new for new, old in moved])
 
 
 @cached_jit
-def _moved(z, held, model):
+def _moved_leaves(z, held, model):
     # Leaves that do not move stay with the caller: a traced number of samples would come back as an
     # array.
-    return eqx.filter(model.moved(z, held), eqx.is_inexact_array)
+    leaves = jax.tree.leaves(model.moved(z, held))
+    return tuple(leaf if eqx.is_inexact_array(leaf) else None for leaf in leaves)
 
 
 @cached_jit
