@@ -163,12 +163,12 @@ def test_compiled_once():
     traces = []
 
     @jax.jit
-    def flood(seeds):
+    def traced(seeds):
         traces.append(seeds.shape)
         return flood(seeds)
 
-    first = flood(scattered(20, 30, 0.1, 11))
-    flood(scattered(20, 30, 0.1, 12))
+    first = traced(scattered(20, 30, 0.1, 11))
+    traced(scattered(20, 30, 0.1, 12))
     assert traces == [(20, 30)]
     assert not any(z.weak_type for z in first)
     eager = flood(jnp.asarray(scattered(20, 30, 0.1, 11)))

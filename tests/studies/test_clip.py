@@ -1,5 +1,6 @@
 """From what every frame says alone to one shader and the light's path."""
 
+import dataclasses
 import json
 
 import jax
@@ -39,7 +40,8 @@ def concluded(found):
     held = np.full(6, np.nan, np.float32)
     shown = np.full((20, 30, 3), 0.5)
     with jax.enable_x64(False):
-        return clip._pooled_result(found, truly(), held, ((), ()), shown)
+        result = clip._pooled_result(found, truly(), held, ((), ()), shown)
+    return dataclasses.replace(result, timing_s={"solve": 0.0})
 
 
 def test_together_frames_tell_the_shader_better():
