@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from godfit import Mitchell
+from godfit.flatland.model import Flatland
+from godfit.inference.evaluate import model_at
 from godfit.runtime import program_cache
 from godfit.runtime.cache import CACHE_VARIABLE
 from godfit.scattering.radial.exact import EXACT
@@ -268,3 +270,15 @@ def test_what_nobody_waits_for_is_not_read(traced, another_run, monkeypatch):
         assert not thread.is_alive()
     assert len(names) == 2
     assert traced == [1, 2, 3]
+
+
+def test_a_moved_model_is_whole_when_its_program_was_loaded(another_run):
+    """Metadata of a module that comes out of a file does not compare equal to the caller's."""
+    model = Flatland()
+    z = np.asarray(model.coordinates()) * 1.25
+    held = np.full(len(z), np.nan)
+    for _ in range(2):
+        another_run()
+        moved = model_at(z, held, model)
+        assert isinstance(moved, Flatland)
+        np.testing.assert_allclose(moved.coordinates(), z, rtol=1e-6)
