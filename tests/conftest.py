@@ -140,12 +140,28 @@ def resident() -> float:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def forget():
-    """Compiled programs of one file are of little use to the next, and take gigabytes together."""
+def programs(request):
+    """What one file compiles is stored for all others and for the other worker. In memory it would
+    be gigabytes. Tests of the stores themselves have their own."""
+    cache = importlib.import_module("godfit.runtime.program_cache")
+    if Path(__file__).parent / "runtime" not in request.path.parents:
+        cache.enable_program_cache()
     yield
-    importlib.import_module("godfit.runtime.program_cache").disable_program_cache()
+    cache.disable_program_cache()
     if resident() > MOST:
         jax.clear_caches()
+
+
+@pytest.fixture(autouse=True)
+def own_programs(request):
+    """A test that changes functions must not leave programs of them to others."""
+    if "monkeypatch" not in request.fixturenames:
+        yield
+        return
+    cache = importlib.import_module("godfit.runtime.program_cache")
+    folder, cache._folder = cache._folder, None
+    yield
+    cache._folder = folder
 
 
 @pytest.fixture
