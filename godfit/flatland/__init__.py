@@ -13,6 +13,7 @@ loops. ``model.py``, ``starts.py`` and ``fit_setup.py`` are for fits.
 from godfit.flatland.accumulate import accumulated, effective_frames, weights
 from godfit.flatland.canvas import Canvas, canvas, from_rgba, read_canvas
 from godfit.flatland.painting import PALETTE, Stroke, example_strokes, painted
+from godfit.flatland.published import GlobalIllumination, NaiveMarch, render_published
 from godfit.flatland.rendering import METHODS, render
 from godfit.flatland.sand import Sand, falling_sand, painted_sand
 from godfit.flatland.sky import Sky
@@ -21,6 +22,8 @@ __all__ = [
     "METHODS",
     "PALETTE",
     "Canvas",
+    "GlobalIllumination",
+    "NaiveMarch",
     "Sand",
     "Sky",
     "Stroke",
@@ -34,5 +37,6 @@ __all__ = [
     "painted_sand",
     "read_canvas",
     "render",
+    "render_published",
     "weights",
 ]
