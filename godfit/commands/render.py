@@ -87,12 +87,22 @@ def published_name(context: click.Context, option: click.Parameter, name: str | 
 )
 @click.option("--source", default="sun", help="Volume: sun or lamp. [default: sun]")
 @click.option(
-    "--steps", type=int, help="Volume, flatland: steps of a ray. [default: 128 for a volume]"
+    "--steps",
+    type=int,
+    help="Volume, flatland: steps of a ray. [default: 128 for a volume; published: 128, 32]",
 )
 @click.option("--rays", type=int, help="Flatland: rays a pixel. [default: 64; published: 8, 32]")
 @click.option("--method", help="Flatland: distance, march or cascades. [default: distance]")
-@click.option("--sun-angle", type=float, help="Flatland: degrees from the right. [default: 120]")
-@click.option("--sun-width", type=float, help="Flatland: degrees to either side. [default: 60]")
+@click.option(
+    "--sun-angle",
+    type=float,
+    help="Flatland: degrees, counterclockwise from the right. [default: 120; published: 119.36]",
+)
+@click.option(
+    "--sun-width",
+    type=float,
+    help="Flatland: degrees to either side. [default: 60; published: 57.3, to one side]",
+)
 @click.option("--sun", metavar="R,G,B", help="Flatland: the sun's radiance. [default: .95,.95,.9]")
 @click.option("--sky", metavar="R,G,B", help="Flatland: the sky's radiance. [default: .02,.08,.2]")
 @click.option("--jitter", is_flag=True, help="Flatland: every pixel turns its rays; see --seed.")
@@ -109,7 +119,7 @@ def published_name(context: click.Context, option: click.Parameter, name: str | 
 @click.option("--no-noise", "noise", flag_value=False, default=None, help="Published: no noise.")
 @click.option("--grain/--no-grain", default=None, help="Published gi: angular noise. [default: on]")
 @click.option(
-    "--no-sun", "enable_sun", flag_value=False, default=None, help="Published gi: dark sky."
+    "--no-sun", "enable_sun", flag_value=False, default=None, help="Published gi: a dark sky."
 )
 @click.option(
     "--no-accumulate",

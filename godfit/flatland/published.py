@@ -22,8 +22,9 @@ Those of the gi pass, whose rays are even:
 Defects of both: a pixel has one noise for all its rays; a pixel hides all light or none; a texel
 counts with its colour as the file stores it, not multiplied by its alpha.
 
-The noise is a hash of sines, here in float64. In float32 it is another noise (.03 apart on a small
-canvas), and no two GPUs agree on it. Nothing here has a derivative: every choice is a threshold.
+The noise is a hash of sines, here in float64. In float32 it is another noise, half of whose values
+are .03 or more away, and no two GPUs agree on it. Nothing here has a derivative: every choice is a
+threshold.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ from jaxtyping import Float
 from godfit.errors import InputError
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.published_kernel import GiRays, flood_pass, gi_rows, naive_rows
+from godfit.flatland.rendering import MAX_RAYS_OR_STEPS
 from godfit.flatland.sky import SKY_RADIANCE, SUN_RADIANCE, check_sky
 from godfit.runtime.parallel import parallel_map
 
@@ -58,9 +60,6 @@ clockwise because its v runs down there."""
 
 PUBLISHED_SUN_WIDTH = math.degrees(1.0)
 """Degrees: the source's sun fades over one radian, clockwise."""
-
-MAX_PUBLISHED = 1 << 16
-"""Rays of a pixel or steps of a ray, at most: far more than any picture needs."""
 
 BAND_ROWS = 8
 """Rows of a picture that one thread computes at a time."""
@@ -214,7 +213,7 @@ def _texture_coordinates(size: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]
 def _check_counts(shader: NaiveMarch | GlobalIllumination) -> None:
     for name, least in (("rays", 1), ("steps", 0)):
         value = getattr(shader, name)
-        if not least <= value <= MAX_PUBLISHED:
+        if not least <= value <= MAX_RAYS_OR_STEPS:
             raise InputError(
-                f"{name}: expected a whole number from {least} to {MAX_PUBLISHED}, got {value}"
+                f"{name}: expected a whole number from {least} to {MAX_RAYS_OR_STEPS}, got {value}"
             )

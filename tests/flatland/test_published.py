@@ -18,6 +18,7 @@ from godfit.flatland import (
     canvas,
     effective_frames,
     from_rgba,
+    read_canvas,
     render,
     render_published,
     weights,
@@ -297,6 +298,23 @@ def test_gi_finds_a_disc():
     found = render_published(made, shader)[..., 0][far]
     expected = np.arcsin(14.5 / away[far]) / math.pi
     assert abs(found.mean() / expected.mean() - 1) < 0.02
+
+
+def test_a_drawing_s_sky_is_that_of_the_gi_pass(tmp_path):
+    """And no matter to the naive march, which has none."""
+    file, out = tmp_path / "s.toml", tmp_path / "o.npy"
+    file.write_text(
+        "[image]\nwidth = 18\nheight = 12\n[sky]\nsun_angle = 60\nsun = [2, 1, 1]\n"
+        '[[shape]]\nkind = "disc"\ncentre = [0.7, 0.5]\nradius = 0.2\nradiance = "#ff8000"\n'
+    )
+    gi = GlobalIllumination(sun_angle=60.0, sun=(2.0, 1.0, 1.0), time=3.0)
+    for name, shader, options in (("gi", gi, ["--time", "3"]), ("naive", NaiveMarch(), [])):
+        command = ["render", str(file), "--model", "flatland", "-o", str(out), "--published", name]
+        assert main([*command, *options]) == 0
+        expected = render_published(read_canvas(file), shader)
+        np.testing.assert_allclose(np.load(out), expected, atol=1e-6)
+    # Not clamped: the sun is brighter than white.
+    assert render_published(read_canvas(file), gi).max() > 1
 
 
 def test_only_passes_that_the_flood_has():
