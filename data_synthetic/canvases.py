@@ -11,7 +11,8 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
-import sand
+
+from godfit.flatland.sand import Sand, falling_sand
 
 ARTICLE_SKY = (0.02, 0.08, 0.2)
 """Radiance of the sky, red, green, blue, as in the article (jason.today/gi)."""
@@ -22,11 +23,14 @@ ARTICLE_SUN = (0.95, 0.95, 0.9)
 SAND_FRAMES = 6
 """Canvases of the falling sand: from the full funnel to nearly all of it fallen."""
 
-SAND_FRAME_STEPS = 60
-"""Steps of the sand between two of its canvases."""
+SAND_FRAME_STEPS = 45
+"""Frames of the sand between two of its canvases."""
 
 SAND_SEED = 11
-"""Seed of the grains and of their slides; any would do."""
+"""Seed of the grains and of how they fall; any would do."""
+
+SAND_SIZE = 96
+"""Cells of the sand from side to side."""
 
 GRAIN_COLOURS = ((1.0, 0.55, 0.15), (0.2, 0.75, 1.0), (0.75, 0.25, 0.9))
 """Red, green, blue of the three kinds of grains: far apart, so that their light can be traced."""
@@ -133,21 +137,34 @@ def maze(size: int = 192, cells: int = 12, seed: int = 3) -> np.ndarray:
     return canvas
 
 
+def hourglass(size: int = SAND_SIZE) -> Sand:
+    """(size, size) a funnel full of grains of three colours above ledges that catch some."""
+    y, x = np.mgrid[:size, :size] / size
+    rng = np.random.default_rng(SAND_SEED)
+    cells = np.zeros((size, size), np.int32)
+    solid = -1 - len(GRAIN_COLOURS)
+    slope = np.abs(x - 0.5) - (0.035 + 0.9 * np.maximum(0.42 - y, 0))
+    cells[(np.abs(slope) < 0.02) & (y > 0.12) & (y < 0.45)] = solid
+    for height, left, right in ((0.62, 0.3, 0.52), (0.76, 0.5, 0.74)):
+        ledge = np.abs(y - height - 0.25 * (x - left)) < 0.012
+        cells[ledge & (x > left) & (x < right)] = solid
+    full = (slope < -0.02) & (y > 0.15) & (y < 0.4) & (rng.random((size, size)) < 0.9)
+    colour = 1 + ((y - 0.15) / 0.25 * 3).astype(np.int32).clip(0, 2)
+    cells[full] = colour[full]
+    colours = GRAIN_BRIGHTNESS * np.array([*GRAIN_COLOURS, (0.0, 0.0, 0.0)])
+    return Sand(cells, np.floor(colours * 255 + 0.5).astype(np.uint8))
+
+
 def sand_canvas(cells: np.ndarray, scale: int) -> np.ndarray:
     """(scale h, scale w, 4) bytes: a solid cell hides light, a grain glows in its colour."""
-    colours = np.zeros((sand.FIRST_GRAIN + len(GRAIN_COLOURS), 4))
-    colours[sand.SOLID_CELL] = (0, 0, 0, 1)
-    for i, colour in enumerate(GRAIN_COLOURS):
-        colours[sand.FIRST_GRAIN + i] = (*(GRAIN_BRIGHTNESS * np.array(colour)), 1)
-    table = np.floor(colours * 255 + 0.5).astype(np.uint8)
-    return table[cells].repeat(scale, 0).repeat(scale, 1)
+    return hourglass()._replace(cells=cells).rgba().repeat(scale, 0).repeat(scale, 1)
 
 
 def sand_frames(
-    count: int = SAND_FRAMES, every: int = SAND_FRAME_STEPS, size: int = 96
+    count: int = SAND_FRAMES, every: int = SAND_FRAME_STEPS, size: int = SAND_SIZE
 ) -> list[np.ndarray]:
-    """``count`` states (size, size) of the falling sand, ``every`` steps apart."""
-    return list(sand.frames(sand.hourglass(size, SAND_SEED), count, every, SAND_SEED))
+    """``count`` states (size, size) of the falling sand, ``every`` frames apart."""
+    return list(falling_sand(hourglass(size).cells, count, SAND_SEED, every))
 
 
 CANVASES = {

@@ -5,7 +5,7 @@
 
 Masks of targets are painted by formula (painted_masks.py), those of scenes (stages.py) are the
 rasteriser's. Canvases of the light in the plane (canvases.py) are drawn by formula or by falling
-sand (sand.py). Screenshots (screens.py) come without a mask and are rendered as users' are. With
+sand. Screenshots (screens.py) come without a mask and are rendered as users' are. With
 --gif a moving scene becomes an animation.
 
 A mask is rounded to bytes before anything is rendered from it, so that the parameters in the table
@@ -31,11 +31,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import painted_masks as masks
-import sand
 import screens
 from stages import SEQUENCE_FRAMES, SEQUENCES, STAGES, Stage, mitchell_params
 
-from godfit.flatland import Sky, canvas, render
+from godfit.flatland import Sky, from_rgba, render
+from godfit.flatland.sand import grain_counts
 from godfit.io.image import write_image
 from godfit.models.mitchell import Mitchell
 from godfit.runtime.files import atomic_write
@@ -56,8 +56,8 @@ GIF_LAP_MS = 4000
 SAND_GIF_FRAME_MS = 80
 """Milliseconds of a frame of the falling sand."""
 
-SAND_GIF_FRAME_STEPS = 10
-"""Steps of the sand between two frames of its animation."""
+SAND_GIF_FRAME_STEPS = 4
+"""Frames of the sand between two frames of its animation."""
 
 SAND_SCALE = 2
 """Pixels a cell of the sand, in its canvases."""
@@ -234,10 +234,8 @@ def write_gif(file: Path, pictures: list[np.ndarray], frame_ms: float, **options
 
 def render_plane(drawn: np.ndarray, truth: canvases.PlaneTruth) -> np.ndarray:
     """(h, w, 3) the light of a canvas (h, w, 4) of bytes."""
-    values = drawn / 255
-    emitters = canvas(values[..., :3] * values[..., 3:], values[..., 3])
     sky = Sky(truth.sun_angle, truth.sun_width, truth.sun, truth.sky)
-    return np.asarray(render(emitters, sky, rays=PLANE_RAYS, exposure=truth.exposure))
+    return np.asarray(render(from_rgba(drawn), sky, rays=PLANE_RAYS, exposure=truth.exposure))
 
 
 def all_planes() -> Iterator[tuple[str, np.ndarray, canvases.PlaneTruth, dict]]:
@@ -250,7 +248,7 @@ def all_planes() -> Iterator[tuple[str, np.ndarray, canvases.PlaneTruth, dict]]:
         more = {
             "seed": canvases.SAND_SEED,
             "step": i * canvases.SAND_FRAME_STEPS,
-            "grains": sand.grains(cells),
+            "grains": grain_counts(cells),
         }
         yield f"plane_sand_{i}", canvases.sand_canvas(cells, SAND_SCALE), truth, more
 

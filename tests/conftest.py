@@ -70,6 +70,8 @@ COMPILED = (
     "godfit.flatland.render_kernel",
     "godfit.flatland.derivative_kernel",
     "godfit.flatland.cascade_kernel",
+    "godfit.flatland.published_kernel",
+    "godfit.flatland.sand_kernel",
     "godfit.scattering.radial.strips_kernel",
     "godfit.runtime.xla_ffi",
     "godfit.scattering.radial.spacings_kernel",

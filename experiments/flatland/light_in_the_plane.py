@@ -26,11 +26,20 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from godfit import fit
-from godfit.flatland import Canvas, Sky, accumulated, canvas, effective_frames, render, weights
+from godfit.flatland import (
+    Canvas,
+    Sky,
+    accumulated,
+    canvas,
+    effective_frames,
+    from_rgba,
+    render,
+    weights,
+)
 from godfit.flatland import rays as walks
 from godfit.flatland.jump_flood import jump_flood
 from godfit.flatland.walk_kernel import FILLED, OUTSIDE
-from tests.support.plane_measures import SKY, drawn, measured, reference, rms, scenes, shapes
+from tests.support.plane_measures import SKY, measured, reference, rms, scenes, shapes
 from tests.support.synthetic import canvases
 
 RAYS = (8, 16, 32, 64, 128, 256)
@@ -137,7 +146,7 @@ def flood() -> None:
 def noise() -> None:
     print("\n## noise: jittered stroke, 256x256, rms in % of the light's")
     values = canvases.stroke(256, 256)
-    made, sky = drawn(values), Sky(*SKY)
+    made, sky = from_rgba(values), Sky(*SKY)
     exact = reference(values)
     for rays in (1, 2, 4, 8, 16, 32, 64, 128):
         one = jax.jit(functools.partial(render, rays=rays, jitter=True))
@@ -148,7 +157,7 @@ def noise() -> None:
     print("  8 rays, frames accumulated: error, frames that it is worth, and should be")
     for count in (1, 2, 5, 11, 22, 44, 88):
         cells = []
-        for how in ("mean", "exponential"):
+        for how in ("mean", "mix"):
             error = rms(accumulated((frame(made, sky, seed=s) for s in range(count)), how), exact)
             expected = effective_frames(weights(count, how))
             cells.append(f"{how} {100 * error:6.2f}% {(single / error) ** 2:6.2f} {expected:6.2f}")
@@ -239,11 +248,13 @@ def recovery(truths: int) -> None:
         truth |= {f"sky_{c}": v for c, v in zip("rgb", sky, strict=True)}
         with jax.enable_x64(True):
             around = Sky(truth["sun_angle"], truth["sun_width"], sun, sky)
-            image = np.asarray(render(drawn(values), around, rays=64, exposure=truth["exposure"]))
+            image = np.asarray(
+                render(from_rgba(values), around, rays=64, exposure=truth["exposure"])
+            )
         # Half of them with noise of half a level before the rounding.
         image = 255 * image + (0.5 * rng.normal(size=image.shape) if seed % 4 > 1 else 0)
         target = np.clip(np.floor(image + 0.5), 0, 255).astype(np.uint8)
-        result = fit(target, canvas=drawn(values), rays=64)
+        result = fit(target, canvas=from_rgba(values), rays=64)
         converged += result.converged
         for name, estimate in result.params.items():
             off = abs(estimate.value - truth[name])
@@ -268,7 +279,7 @@ def figure(found: dict[str, dict[str, tuple]], size: int, file: str) -> None:
     drawings = scenes(size)
     for panel, name in zip(axes[:3], ("stroke", "window", "sand"), strict=True):
         values = drawings[name]
-        image = render(drawn(values), Sky(*SKY), rays=256)
+        image = render(from_rgba(values), Sky(*SKY), rays=256)
         panel.imshow(np.clip(1.3 * np.asarray(image), 0, 1) ** (1 / 1.8))
         panel.set_title(name, fontsize=10)
         panel.set_axis_off()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
@@ -15,15 +16,57 @@ if TYPE_CHECKING:
     from godfit.scenes.scene import Scene
 
 FLATLAND_OPTIONS = (
-    "rays", "method", "jitter", "grain", "seed", "published", "sun", "sky", "sun_angle",
-    "sun_width",
+    "rays", "method", "jitter", "film_grain", "seed", "published", "sun", "sky", "sun_angle",
+    "sun_width", "noise", "grain", "enable_sun", "accumulate_radiance", "time", "passes", "frames",
+    "accumulate",
 )  # fmt: skip
 """Options of the light in the plane alone."""
+SWITCHES = {
+    "noise": "--no-noise",
+    "enable_sun": "--no-sun",
+    "accumulate_radiance": "--no-accumulate",
+}
+"""Options that are spelled otherwise than their name."""
 PARAMETER_OPTIONS = ("exposure", "decay", "density", "weight", "e_sun", "scale", "turbidity", "g")
 """Options that are parameters of a model."""
 
 
-@click.command()
+class RenderCommand(click.Command):
+    """``render``, with one line for what its options were until they got their present meaning."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        for option, value in itertools.pairwise([*args, ""]):
+            glued = option.removeprefix("--grain=") if option.startswith("--grain=") else ""
+            number = glued or (value if option == "--grain" and is_number(value) else "")
+            if number:
+                raise click.UsageError(
+                    f"--grain: expected no value, got {number}; noise laid on the picture is "
+                    f"--film-grain {number}, and --grain is the angular noise of --published gi"
+                )
+        return super().parse_args(ctx, args)
+
+
+def is_number(text: str) -> bool:
+    """Whether a text is a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def published_name(context: click.Context, option: click.Parameter, name: str | None) -> str | None:
+    """The name of a published shader; None stays None."""
+    if name is not None:
+        from godfit.flatland.published import PUBLISHED
+
+        if name not in PUBLISHED:
+            names = " or ".join(f"--published {known}" for known in PUBLISHED)
+            raise click.UsageError(f"--published: expected {names}, got {name or 'no name'}")
+    return name
+
+
+@click.command(cls=RenderCommand)
 @click.argument("mask", metavar="MASK|SCENE.toml")
 @click.option("-o", "--output", required=True, help="Image to write: .png or .npy (linear floats).")
 @click.option("--model", help="mitchell, hoffman-preetham, volume or flatland. [default: mitchell]")
@@ -44,18 +87,55 @@ PARAMETER_OPTIONS = ("exposure", "decay", "density", "weight", "e_sun", "scale",
 )
 @click.option("--source", default="sun", help="Volume: sun or lamp. [default: sun]")
 @click.option(
-    "--steps", type=int, help="Volume, flatland: steps of a ray. [default: 128 for a volume]"
+    "--steps",
+    type=int,
+    help="Volume, flatland: steps of a ray. [default: 128 for a volume; published: 128, 32]",
 )
-@click.option("--rays", type=int, help="Flatland: rays a pixel. [default: 64]")
+@click.option("--rays", type=int, help="Flatland: rays a pixel. [default: 64; published: 8, 32]")
 @click.option("--method", help="Flatland: distance, march or cascades. [default: distance]")
-@click.option("--sun-angle", type=float, help="Flatland: degrees from the right. [default: 120]")
-@click.option("--sun-width", type=float, help="Flatland: degrees to either side. [default: 60]")
+@click.option(
+    "--sun-angle",
+    type=float,
+    help="Flatland: degrees, counterclockwise from the right. [default: 120; published: 119.36]",
+)
+@click.option(
+    "--sun-width",
+    type=float,
+    help="Flatland: degrees to either side. [default: 60; published: 57.3, to one side]",
+)
 @click.option("--sun", metavar="R,G,B", help="Flatland: the sun's radiance. [default: .95,.95,.9]")
 @click.option("--sky", metavar="R,G,B", help="Flatland: the sky's radiance. [default: .02,.08,.2]")
 @click.option("--jitter", is_flag=True, help="Flatland: every pixel turns its rays; see --seed.")
-@click.option("--grain", type=float, help="Flatland: standard deviation of noise laid on.")
-@click.option("--seed", type=int, help="Flatland: seed of jitter and grain. [default: 0]")
-@click.option("--published", is_flag=True, help="Flatland: as the article's shaders have it.")
+@click.option("--seed", type=int, help="Flatland: seed of jitter and film grain. [default: 0]")
+@click.option("--film-grain", type=float, metavar="SIGMA", help="Flatland: noise laid on.")
+@click.option(
+    "--published",
+    metavar="naive|gi",
+    is_flag=False,
+    flag_value="",
+    callback=published_name,
+    help="Flatland: one of the two shaders of jason.today/gi, with its own defaults.",
+)
+@click.option("--no-noise", "noise", flag_value=False, default=None, help="Published: no noise.")
+@click.option("--grain/--no-grain", default=None, help="Published gi: angular noise. [default: on]")
+@click.option(
+    "--no-sun", "enable_sun", flag_value=False, default=None, help="Published gi: a dark sky."
+)
+@click.option(
+    "--no-accumulate",
+    "accumulate_radiance",
+    flag_value=False,
+    default=None,
+    help="Published naive: only the last step is tested.",
+)
+@click.option("--time", type=float, help="Published gi: another noise. [default: 0]")
+@click.option("--passes", type=int, help="Published gi: passes of the flood. [default: all]")
+@click.option("--frames", type=int, help="Flatland: accumulate frames, each with its own noise.")
+@click.option(
+    "--accumulate",
+    metavar="mix|mean",
+    help="Flatland: how. [default: mix with --published gi, else mean]",
+)
 @click.option(
     "--light", multiple=True, metavar="U,V", help="Position of a light; repeat for several."
 )
@@ -99,19 +179,44 @@ def render(mask: str, output: str, transfer: str, bits: str, **options: Any) -> 
     for name in ("sun", "sky"):
         options[name] = colour(options[name], f"--{name}")
     # A flag that is not set was not given.
-    options |= {name: options[name] or None for name in ("jitter", "published")}
+    options["jitter"] = options["jitter"] or None
     recorded = read_params(options["params"]) if options["params"] else {}
     if (options["model"] or recorded.get("model")) == "flatland":
         from godfit.flatland.file_rendering import render_file
 
-        names = (*FLATLAND_OPTIONS, "steps", "exposure")
-        image = render_file(mask, recorded | given_options(options, names))
+        given = given_options(options, (*FLATLAND_OPTIONS, "steps", "exposure"))
+        check_plane_options(given)
+        image = render_file(mask, recorded | given)
     else:
         for name in given_options(options, FLATLAND_OPTIONS):
-            raise click.UsageError(f"--{name.replace('_', '-')}: expected --model flatland with it")
+            raise click.UsageError(f"{spelled(name)}: expected --model flatland with it")
         image, transfer = on_screen(mask, recorded, transfer, options)
     write_image(output, image, transfer=transfer, bits=int(bits))
     return 0
+
+
+def check_plane_options(given: dict[str, Any]) -> None:
+    """Raise click.UsageError for an option that means nothing beside the others."""
+    from godfit.flatland.file_rendering import option_names
+    from godfit.flatland.published import PUBLISHED
+
+    shader = given.get("published")
+    for name in given:
+        if name in ("published", *option_names(shader)):
+            continue
+        holders = [f"--published {other}" for other in PUBLISHED if name in option_names(other)]
+        holders += ["no --published"] if name in option_names(None) else []
+        got = f"--published {shader}" if shader else "none"
+        raise click.UsageError(
+            f"{spelled(name)}: expected {' or '.join(holders)} with it, got {got}"
+        )
+    if "accumulate" in given and "frames" not in given:
+        raise click.UsageError("--accumulate: expected --frames with it, got none")
+
+
+def spelled(name: str) -> str:
+    """The option of a name, as it is typed."""
+    return SWITCHES.get(name, f"--{name.replace('_', '-')}")
 
 
 def on_screen(

@@ -3,25 +3,40 @@
 After "Building Real-Time Global Illumination" (jason.today/gi, 2024): every lit pixel of a canvas
 emits light, every opaque one stops it.
 
-``canvas.py`` has the canvas, ``drawing.py`` the shapes to draw it from and ``sky.py`` the light
-from outside. ``rays.py``, ``cascades.py`` and ``published.py`` are methods that render it, and
-``rendering.py`` is the entry to all of them; the files ``*_kernel.py`` have their compiled loops.
-``model.py``, ``starts.py`` and ``fit_setup.py`` are for fits.
+``canvas.py`` has the canvas, ``drawing.py`` the shapes to draw it from, ``painting.py`` the strokes
+to paint it with, ``sand.py`` the sand that falls on it, and ``sky.py`` the light from outside.
+``rays.py`` and ``cascades.py`` are methods that render it, and ``rendering.py`` is the entry to
+both; ``published.py`` has the article's own two shaders. The files ``*_kernel.py`` have compiled
+loops. ``model.py``, ``starts.py`` and ``fit_setup.py`` are for fits.
 """
 
 from godfit.flatland.accumulate import accumulated, effective_frames, weights
-from godfit.flatland.canvas import Canvas, canvas, read_canvas
+from godfit.flatland.canvas import Canvas, canvas, from_rgba, read_canvas
+from godfit.flatland.painting import PALETTE, Stroke, example_strokes, painted
+from godfit.flatland.published import GlobalIllumination, NaiveMarch, render_published
 from godfit.flatland.rendering import METHODS, render
+from godfit.flatland.sand import Sand, falling_sand, painted_sand
 from godfit.flatland.sky import Sky
 
 __all__ = [
     "METHODS",
+    "PALETTE",
     "Canvas",
+    "GlobalIllumination",
+    "NaiveMarch",
+    "Sand",
     "Sky",
+    "Stroke",
     "accumulated",
     "canvas",
     "effective_frames",
+    "example_strokes",
+    "falling_sand",
+    "from_rgba",
+    "painted",
+    "painted_sand",
     "read_canvas",
     "render",
+    "render_published",
     "weights",
 ]

@@ -10,17 +10,16 @@ import numpy as np
 from godfit.errors import InputError
 
 HISTORY_SHARE = 0.9
-"""Share of the accumulated picture that an exponential accumulation retains at every new frame: the
-article's."""
+"""Share of the accumulated picture that a mix retains at every new frame: the article's."""
 
-ACCUMULATIONS = ("mean", "exponential")
+ACCUMULATIONS = ("mean", "mix")
 """Ways to accumulate frames."""
 
 
 def weights(frames: int, how: str = "mean", history: float = HISTORY_SHARE) -> np.ndarray:
     """(frames,) the weight of each frame in the accumulated picture, the first frame first.
 
-    ``mean`` is the running mean. ``exponential`` is mix(new, old, history) after the first frame,
+    ``mean`` is the running mean. ``mix`` is mix(new, old, history) after the first frame,
     as published. It forgets: its noise never falls below that of (1 + history) / (1 - history)
     frames (5.96 after 11 frames, the first included), whereas that of the mean falls with every
     frame. Raises InputError.

@@ -7,7 +7,7 @@ import os
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, UInt8
 
 from godfit.errors import InputError
 from godfit.io.image import Image, read_layer
@@ -62,6 +62,12 @@ def canvas(radiance, opacity) -> Canvas:
         worst = opacity[~((opacity >= 0) & (opacity <= 1))][0]
         raise InputError(f"canvas: expected opacity from 0 to 1, got {worst:g}; scale it")
     return Canvas(jnp.asarray(radiance, float), jnp.asarray(opacity, float))
+
+
+def from_rgba(values: UInt8[np.ndarray, "h w 4"]) -> Canvas:
+    """The canvas of bytes: colour is emission, not multiplied by alpha, and alpha is opacity."""
+    shares = values / 255
+    return canvas(shares[..., :3] * shares[..., 3:], shares[..., 3])
 
 
 def from_image(image: Image, alpha: np.ndarray | None, *, associated: bool = False) -> Canvas:

@@ -12,7 +12,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from godfit.errors import InputError
-from godfit.flatland import published as as_published
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.cascades import cascades
 from godfit.flatland.rays import TraceSettings, gathered, steps_to_cross
@@ -36,8 +35,14 @@ MARCH_STEPS_PER_PIXEL = 2
 """Steps of a march for each pixel of the canvas's diagonal, by default: longer ones leap over
 corners of pixels."""
 
-GRAIN_STREAM = 1
-"""Makes the random numbers of the grain differ from those of the jitter of the same seed."""
+FILM_GRAIN_STREAM = 1
+"""Makes the random numbers of the film grain differ from those of the jitter of the same seed."""
+
+PUBLISHED_ELSEWHERE = (
+    "expected a call of render_published(canvas, NaiveMarch()) or "
+    "render_published(canvas, GlobalIllumination())"
+)
+"""What replaces the argument ``published``."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +54,8 @@ class RenderOptions:
     method: str = "distance"
     steps: int | None = None
     jitter: bool = False
-    grain: float = 0.0
+    film_grain: float = 0.0
     seed: int | Int[Array, ""] = 0
-    published: bool = False
     plain: bool | None = None
 
     def __post_init__(self) -> None:
@@ -62,14 +66,15 @@ class RenderOptions:
                 raise InputError(
                     f"{name}: expected a whole number from 1 to {MAX_RAYS_OR_STEPS}, got {value}"
                 )
-        if not 0 <= self.grain < math.inf:
-            raise InputError(f"grain: expected a finite number of 0 or more, got {self.grain:g}")
+        check_film_grain(self.film_grain)
         if self.method == "cascades" and self.steps is not None:
             raise InputError(
                 "steps: expected none with the method cascades, got some; leave them out"
             )
-        if self.method == "cascades" and self.published:
-            raise InputError("published: expected the method distance or march, got 'cascades'")
+        if self.method == "cascades" and self.jitter:
+            raise InputError(
+                "jitter: expected none with the method cascades, got some; leave it out"
+            )
 
 
 def render(
@@ -80,10 +85,10 @@ def render(
     method: str = "distance",
     steps: int | None = None,
     jitter: bool = False,
-    grain: float = 0.0,
+    film_grain: float = 0.0,
     seed: int | Int[Array, ""] = 0,
     exposure: float | Float[Array, ""] = 1.0,
-    published: bool = False,
+    published: Any = None,
     plain: bool | None = None,
 ) -> Float[Array, "h w 3"]:
     """The light in the plane: every pixel has its own radiance and, as far as it is not opaque, the
@@ -100,10 +105,9 @@ def render(
       distance march, after how many a ray ends without the sky's light, by default enough for any.
     - `jitter`: rays go anywhere in their part of the circle, each pixel's by an angle of its own:
       bands become noise. `seed` chooses; a mean over seeds has more rays.
-    - `grain`: standard deviation of noise laid on the picture, after the exposure.
+    - `film_grain`: standard deviation of noise laid on the picture, after the exposure.
     - `exposure`: a factor of the whole picture.
-    - `published`: as the article's shaders have it, see `godfit.flatland.published`; `jitter` is
-      then always there, and the same in every frame.
+    - `published`: nothing; see `render_published`, which has the article's shaders.
     - `plain`: XLA's own loops in place of compiled ones, by default wherever JAX does not run on a
       CPU.
 
@@ -113,18 +117,16 @@ def render(
     derivative: a ValueError. Raises InputError for settings that mean nothing, and for
     `"cascades"`, compiled for CPUs, where JAX runs elsewhere.
     """
-    options = RenderOptions(rays, method, steps, jitter, grain, seed, published, plain)
+    if published is not None:
+        raise InputError(f"published: {PUBLISHED_ELSEWHERE}, got {published!r}")
+    options = RenderOptions(rays, method, steps, jitter, film_grain, seed, plain)
     sky = Sky.none() if sky is None else sky
-    if published:
-        make = functools.partial(as_published.published, rays=rays, steps=steps, method=method)
-        light = _without_derivative("published", make, canvas, sky)
+    if method == "cascades":
+        reached = _by_cascades(canvas, sky, rays)
     else:
-        if method == "cascades":
-            reached = _by_cascades(canvas, sky, rays)
-        else:
-            reached = _by_rays(canvas, sky, options)
-        light = canvas.radiance + (1 - canvas.opacity)[..., None] * reached
-    return exposure * light + _grain(light, grain, seed)
+        reached = _by_rays(canvas, sky, options)
+    light = canvas.radiance + (1 - canvas.opacity)[..., None] * reached
+    return exposure * light + film_grain_of(light, film_grain, seed)
 
 
 def _by_cascades(canvas: Canvas, sky: Sky, rays: int) -> Float[Array, "h w 3"]:
@@ -166,12 +168,18 @@ def _trace_settings(canvas: Canvas, options: RenderOptions) -> TraceSettings:
     return TraceSettings(options.rays, options.steps or steps_to_cross(*canvas.size))
 
 
-def _grain(light, grain: float, seed):
-    """Noise of standard deviation ``grain`` for a picture ``light``."""
-    if grain == 0:
+def film_grain_of(light, sigma: float, seed):
+    """Noise of standard deviation ``sigma`` for a picture ``light``."""
+    if sigma == 0:
         return jnp.zeros((), light.dtype)
-    key = jax.random.fold_in(jax.random.key(seed), GRAIN_STREAM)
-    return grain * jax.random.normal(key, light.shape, light.dtype)
+    key = jax.random.fold_in(jax.random.key(seed), FILM_GRAIN_STREAM)
+    return sigma * jax.random.normal(key, light.shape, light.dtype)
+
+
+def check_film_grain(sigma: float) -> None:
+    """Raise InputError for a standard deviation that is none."""
+    if not 0 <= sigma < math.inf:
+        raise InputError(f"film grain: expected a finite number of 0 or more, got {sigma:g}")
 
 
 def _without_derivative(name: str, make: Any, canvas: Canvas, sky: Sky):
@@ -183,8 +191,8 @@ def _without_derivative(name: str, make: Any, canvas: Canvas, sky: Sky):
 
     def refuse(primals, tangents):
         raise ValueError(
-            f"flatland: '{name}' has no derivative; use method 'distance' or 'march', without "
-            "published and, of the distance march, without steps"
+            f"flatland: '{name}' has no derivative; use method 'distance' or 'march', and with "
+            "the distance march no steps"
         )
 
     made.defjvp(refuse)

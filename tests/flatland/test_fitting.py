@@ -229,8 +229,9 @@ class TestRender:
         assert np.abs(255 * found - read_image(files / "t.png").values * 255).max() < 1
         pictures = [found]
         for more in (
-            ["--method", "march", "--steps", "30"], ["--method", "cascades"], ["--published"],
-            ["--jitter", "--seed", "4"], ["--grain", ".02"],
+            ["--method", "march", "--steps", "30"], ["--method", "cascades"], ["--published", "gi"],
+            ["--jitter", "--seed", "4"], ["--film-grain", ".02"],
+            ["--jitter", "--frames", "3"],
         ):  # fmt: skip
             assert main([*base, *more]) == 0
             pictures.append(read_image(files / "o.npy").values)
@@ -260,13 +261,66 @@ class TestRender:
             (["--sky", "1,2,-1"], 1, "sky colour: expected three finite numbers of 0 or more"),
             (["--exposure", "-1"], 1, "exposure: expected a finite number of 0 or more"),
             (["--method", "fast"], 1, "method: expected one of distance, march, cascades"),
-            (["--grain", "-1"], 1, "grain: expected a finite number of 0 or more"),
+            (["--film-grain", "-1"], 1, "film grain: expected a finite number of 0 or more"),
+            (
+                ["--published", "gi", "--film-grain", "-1"],
+                1,
+                "film grain: expected a finite number",
+            ),
+            (
+                ["--published", "gi", "--passes", "9"],
+                1,
+                "passes: expected a whole number from 0 to",
+            ),
+            (["--published", "gi", "--rays", "0"], 1, "rays: expected a whole number from 1"),
+            (["--frames", "0"], 1, "frames: expected 1 or more, got 0"),
+            (["--frames", "2"], 1, "frames: expected jitter or film grain, got neither"),
+            (["--jitter", "--frames", "2", "--accumulate", "sum"], 1, "expected mean or mix, got"),
+            (["--method", "cascades", "--jitter"], 1, "jitter: expected none with the method casc"),
         ],
     )
     def test_nonsense_is_refused(self, files, capsys, options, status, message):
         base = ["render", "--model", "flatland", files / "c.png", "-o", files / "o.png"]
         assert message in says(capsys, status, *base, *options)
         assert not (files / "o.png").exists()
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            (["--published"], "--published: expected --published naive or --published gi, got no"),
+            (["--published", "march"], "expected --published naive or --published gi, got march"),
+            (["--grain", ".05"], "noise laid on the picture is --film-grain .05"),
+            (["--grain=.05"], "noise laid on the picture is --film-grain .05"),
+            (["--grain"], "--grain: expected --published gi with it, got none"),
+            (["--no-noise"], "expected --published naive or --published gi with it, got none"),
+            (["--published", "naive", "--no-grain"], "--grain: expected --published gi with it"),
+            (["--published", "naive", "--no-sun"], "--no-sun: expected --published gi with it"),
+            (["--published", "naive", "--frames", "2"], "got --published naive"),
+            (["--published", "gi", "--no-accumulate"], "expected --published naive with it"),
+            (["--published", "gi", "--jitter"], "--jitter: expected no --published with it"),
+            (["--accumulate", "mix"], "--accumulate: expected --frames with it, got none"),
+        ],
+    )
+    def test_what_means_nothing_together(self, files, capsys, options, message):
+        base = ["render", "--model", "flatland", files / "c.png", "-o", files / "o.png"]
+        assert message in says(capsys, 2, *base, *options)
+        assert message in says(capsys, 2, "render", *options, *base[1:])
+        assert not (files / "o.png").exists()
+
+    def test_frames_are_those_of_consecutive_seeds(self, files):
+        base = ["render", "--model", "flatland", str(files / "c.png"), "-o", str(files / "o.npy")]
+        base += ["--rays", "4", "--jitter"]
+
+        def picture(*more):
+            assert main([*base, *more]) == 0
+            return read_image(files / "o.npy").values
+
+        one, two, three = (picture("--seed", str(seed)) for seed in (5, 6, 7))
+        mean = picture("--seed", "5", "--frames", "3")
+        np.testing.assert_allclose(mean, (one + two + three) / 3, atol=1e-6)
+        mixed = picture("--seed", "5", "--frames", "3", "--accumulate", "mix")
+        expected = 0.1 * three + 0.9 * (0.1 * two + 0.9 * one)
+        np.testing.assert_allclose(mixed, expected, atol=1e-6)
 
     def test_canvases_that_are_none(self, files, capsys):
         base = ["render", "--model", "flatland", "-o", files / "o.png"]
@@ -294,7 +348,9 @@ class TestRender:
     def test_options_of_the_plane_need_the_plane(self, files, capsys):
         base = ["render", files / "t.png", "-o", files / "o.png"]
         assert "--sun-angle: expected --model flatland" in says(capsys, 2, *base, "--sun-angle", 3)
-        assert "--published: expected --model flatland" in says(capsys, 2, *base, "--published")
+        assert "--published: expected --model flatland" in says(
+            capsys, 2, *base, "--published", "gi"
+        )
 
 
 class TestFitCommand:

@@ -131,7 +131,7 @@ def test_shapes_that_move(kind):
             assert abs(slope[index] - expected) < 0.01 * max(abs(expected), 0.1 * scale), name
 
 
-@pytest.mark.parametrize("options", [{"published": True}, {"method": "cascades"}, {"steps": 3}])
+@pytest.mark.parametrize("options", [{"method": "cascades"}, {"steps": 3}])
 def test_what_has_no_derivative_refuses(options):
     made = canvas(*oracle.random_canvas((8, 8), 2))
 

@@ -242,7 +242,7 @@ class TestNoise:
 
     def test_seeds(self):
         one, same, other = (
-            rendered(self.MADE, rays=4, jitter=True, grain=0.1, seed=s) for s in (1, 1, 2)
+            rendered(self.MADE, rays=4, jitter=True, film_grain=0.1, seed=s) for s in (1, 1, 2)
         )
         np.testing.assert_array_equal(one, same)
         assert (one != other).mean() > 0.9
@@ -254,8 +254,8 @@ class TestNoise:
         assert abs((many - exact).mean()) < 2e-3
         assert np.abs(many - exact).max() < 0.15
 
-    def test_grain_has_its_size(self):
-        grain = rendered(self.MADE, grain=0.05) - rendered(self.MADE)
+    def test_film_grain_has_its_size(self):
+        grain = rendered(self.MADE, film_grain=0.05) - rendered(self.MADE)
         assert grain.std() == pytest.approx(0.05, rel=0.1)
         assert abs(grain.mean()) < 0.01
 
@@ -270,9 +270,9 @@ NOTHING = canvas(np.zeros((4, 4, 3)), np.zeros((4, 4)))
         ({"rays": -3}, "rays: expected a whole number from 1"),
         ({"steps": 0}, "steps: expected a whole number from 1"),
         ({"method": "exact"}, "method: expected one of distance, march, cascades, got 'exact'"),
-        ({"grain": -1.0}, "grain: expected a finite number of 0 or more, got -1"),
+        ({"film_grain": -1.0}, "film grain: expected a finite number of 0 or more, got -1"),
         ({"method": "cascades", "steps": 3}, "steps: expected none"),
-        ({"method": "cascades", "published": True}, "published: expected the method"),
+        ({"method": "cascades", "jitter": True}, "jitter: expected none"),
     ],
 )
 def test_nonsense_is_refused(options, message):

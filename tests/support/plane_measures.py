@@ -13,24 +13,17 @@ import statistics
 import jax
 import numpy as np
 
-from godfit.flatland import Canvas, Sky, canvas, render
-from tests.support.synthetic import canvases, sand
+from godfit.flatland import Sky, from_rgba, render
+from tests.support.synthetic import canvases
 from tests.support.timing import timed
 
 REFERENCE_RAYS = 1024
 SKY = (140.0, 40.0, (0.95, 0.95, 0.9), (0.1, 0.16, 0.3))
 
 
-def drawn(values: np.ndarray) -> Canvas:
-    values = values / 255
-    return canvas(values[..., :3] * values[..., 3:], values[..., 3])
-
-
 def scenes(size: int) -> dict[str, np.ndarray]:
     """(size, size, 4) bytes by name."""
-    cells = list(
-        sand.frames(sand.hourglass(size // 4, canvases.SAND_SEED), 2, 40, canvases.SAND_SEED)
-    )[1]
+    cells = canvases.sand_frames(2, 20, size // 4)[1]
     return {
         "stroke": canvases.stroke(size, size),
         "window": canvases.window(size, size),
@@ -41,7 +34,9 @@ def scenes(size: int) -> dict[str, np.ndarray]:
 
 def reference(values: np.ndarray, rays: int = REFERENCE_RAYS) -> np.ndarray:
     with jax.enable_x64(True):
-        return np.asarray(jax.jit(functools.partial(render, rays=rays))(drawn(values), Sky(*SKY)))
+        return np.asarray(
+            jax.jit(functools.partial(render, rays=rays))(from_rgba(values), Sky(*SKY))
+        )
 
 
 def rms(found, exact) -> float:
@@ -50,7 +45,7 @@ def rms(found, exact) -> float:
 
 def measured(values: np.ndarray, ways: dict[str, dict], repeats: int, exact) -> dict[str, tuple]:
     """{way: (seconds, error)}"""
-    made, sky = drawn(values), Sky(*SKY)
+    made, sky = from_rgba(values), Sky(*SKY)
     programs = {
         name: functools.partial(jax.jit(functools.partial(render, **options)), made, sky)
         for name, options in ways.items()

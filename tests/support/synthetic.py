@@ -15,8 +15,7 @@ import bodies
 import canvases
 import make
 import photographs
-import sand
 import screens
 import stages
 
-__all__ = ["bodies", "canvases", "make", "photographs", "sand", "screens", "stages"]
+__all__ = ["bodies", "canvases", "make", "photographs", "screens", "stages"]
