@@ -22,7 +22,7 @@ from godfit.inference.fitted import Found
 from godfit.inference.problem import MAX_VALUES, Problem, checked_picture, given_and_held
 from godfit.inference.strategy import Effort, left_open, refined_mask, search
 from godfit.io.image import Image
-from godfit.io.sources import Source, occluder_mask, read_source
+from godfit.io.sources import Source, occluder_mask, read_source, without_holes
 from godfit.models.base import AbstractModel
 from godfit.models.build import mitchell_template, staged_template, template
 from godfit.report.result import FitResult
@@ -179,7 +179,7 @@ def _fit(request: Request) -> FitResult:
 def _fit_bare(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image]]:
     """The fit of a bare picture, notes, and the images by role."""
     settings = request.settings
-    images = {"target": read_source(request.target, request.transfer)}
+    images = {"target": _target_of(request)}
     shading = mitchell_template(settings.get("shader", "mitchell"), settings.get("samples"), 1)
     options = (
         settings.get("pass_scale"), request.fix or {}, request.start or {}, request.seed,
@@ -190,10 +190,16 @@ def _fit_bare(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
         return found, (), images
     blocked = None
     if request.occluder is not None:
-        images["occluder"] = read_source(request.occluder, "none")
+        images["occluder"] = read_source(request.occluder, "none", "occluder")
         blocked = occluder_mask(images["occluder"], images["target"])
     found, notes = unaided.found_in(images["target"], shading, request.valid, blocked, *options)
     return found, notes, images
+
+
+def _target_of(request: Request) -> Image:
+    """The target, zero where it is not finite and ignored."""
+    target = read_source(request.target, request.transfer, "target", finite=False)
+    return without_holes(target, request.valid)
 
 
 class Posed(NamedTuple):
@@ -211,7 +217,7 @@ def _pose(request: Request) -> Posed:
     """The problem of a request, ready to be solved. Raises InputError for images that do not fit
     together."""
     settings, scene, notes = request.settings, request.scene, ()
-    images = {"target": read_source(request.target, request.transfer)}
+    images = {"target": _target_of(request)}
     pass_scale, start = settings.get("pass_scale", 1.0), dict(request.start or {})
     model: AbstractModel
     if request.canvas is not None:
@@ -232,13 +238,13 @@ def _pose(request: Request) -> Posed:
             images["mask"] = read_source(_mask_of(scene, model, bool(request.free)), "none")
         else:
             assert request.mask is not None
-            images["mask"] = read_source(request.mask, "none")
+            images["mask"] = read_source(request.mask, "none", "mask")
         if request.free:
             assert scene is not None
             model = staged_template(model, scene, request.free)
             start = {name: value for name, value in start.items() if name in model.parameters}
         if request.background is not None:
-            images["background"] = read_source(request.background, request.transfer)
+            images["background"] = read_source(request.background, request.transfer, "background")
         picture = checked_picture(
             images["target"], images["mask"], images.get("background"), request.valid, pass_scale,
             request.channels or model.channels,

@@ -64,12 +64,13 @@ def opened(
     ``bare`` it needs neither a mask nor a scene."""
     from godfit.io.image import read_image
     from godfit.io.sidecar import read_sidecar
+    from godfit.io.sources import without_holes
 
     options = read_sidecar(target) | {k: v for k, v in given.items() if v is not None}
     ignore = options.pop("ignore")
     folder = folder_for(target, output)
     # The target is read first: a missing one should not be reported as a missing mask.
-    image = read_image(target, transfer=options.get("transfer", "none"))
+    image = read_image(target, transfer=options.get("transfer", "none"), finite=False)
     for one, other in (("mask", "scene"), ("scene", "mask")):
         if given[one] is not None and given[other] is None:
             # An option of the command line replaces the one in the file beside the target.
@@ -81,7 +82,8 @@ def opened(
             "expected --mask IMAGE or --scene SCENE.toml, or "
             f"{Path(target).with_suffix('.toml').name} beside the target naming one; got neither"
         )
-    return Study(image, valid_pixels(ignore, image.values.shape[:2]), options, folder)
+    valid = valid_pixels(ignore, image.values.shape[:2])
+    return Study(without_holes(image, valid), valid, options, folder)
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -9,15 +10,48 @@ from pathlib import Path
 import numpy as np
 
 from godfit.errors import InputError
-from godfit.io.image import LEVELS, Image, decode, read_image
+from godfit.io.image import LEVELS, MAX_PIXELS, Image, decode, read_image
 
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
 """Suffixes of the files that are decoded as videos."""
+HEAD_BYTES = 1 << 16
+"""Bytes of a file in which the sign of an animation lies: colour profiles may come before it."""
+WEBP_ANIMATION = 0x02
+"""Flag of an animation in WebP's extended header."""
 
 
 def is_video(path: str | os.PathLike[str]) -> bool:
-    """Whether the name is that of a video."""
-    return Path(path).suffix.lower() in VIDEO_SUFFIXES
+    """Whether the name is that of a video, or the file an image with several frames."""
+    return Path(path).suffix.lower() in VIDEO_SUFFIXES or _animated(path)
+
+
+def _animated(path: str | os.PathLike[str]) -> bool:
+    """Whether the file is a GIF, PNG or WebP with several frames."""
+    try:
+        with open(path, "rb") as file:
+            head = file.read(HEAD_BYTES)
+    except (OSError, ValueError):
+        return False
+    if head.startswith(b"GIF8"):
+        with contextlib.suppress(Exception), _images(path) as image:
+            return getattr(image, "n_frames", 1) > 1
+        return False
+    # An animated PNG has its chunk acTL before any pixel, and WebP a flag in its first chunk.
+    png = head.startswith(b"\x89PNG") and b"acTL" in head[: head.find(b"IDAT") + 1 or None]
+    extended = head[:4] == b"RIFF" and head[8:16] == b"WEBPVP8X"
+    return png or (extended and bool(head[20] & WEBP_ANIMATION))
+
+
+def _images(path: str | os.PathLike[str]):
+    """The file opened by the one of Pillow's readers that it is for."""
+    from PIL.GifImagePlugin import GifImageFile
+    from PIL.PngImagePlugin import PngImageFile
+    from PIL.WebPImagePlugin import WebPImageFile
+
+    with open(path, "rb") as file:
+        head = file.read(4)
+    reader = {b"GIF8": GifImageFile, b"RIFF": WebPImageFile}.get(head, PngImageFile)
+    return reader(os.fspath(path))
 
 
 def frames(paths: Sequence[str], every: int, transfer: str = "none") -> Iterator[Image]:
@@ -35,7 +69,8 @@ def _every(paths: Sequence[str], every: int, transfer: str) -> Iterator[Image]:
     count = 0
     for path in paths:
         if is_video(path):
-            for number, values in _video_frames(path):
+            read = _animation_frames if _animated(path) else _video_frames
+            for number, values in read(path):
                 if count % every == 0:
                     yield _image(values, f"{path}#{number}", transfer)
                 count += 1
@@ -48,6 +83,26 @@ def _every(paths: Sequence[str], every: int, transfer: str) -> Iterator[Image]:
 def _image(values: np.ndarray, name: str, transfer: str) -> Image:
     linear = decode(values.astype(np.float32) / np.float32(LEVELS), transfer)
     return Image(np.asarray(linear), 1 / LEVELS, transfer, name, "")
+
+
+def _animation_frames(path: str) -> Iterator[tuple[int, np.ndarray]]:
+    """(number from 1, (h, w, 3) bytes) of every frame of an animated image, over black."""
+    from PIL import Image as Pillow
+    from PIL import ImageSequence
+
+    try:
+        with _images(path) as image:
+            if image.width * image.height > MAX_PIXELS:
+                raise InputError(f"'{path}': expected at most {MAX_PIXELS} pixels, got more")
+            for number, frame in enumerate(ImageSequence.Iterator(image), 1):
+                shown = Pillow.new("RGB", frame.size)
+                whole = frame.convert("RGBA")
+                shown.paste(whole, mask=whole.getchannel("A"))
+                yield number, np.asarray(shown)
+    except (OSError, ValueError, SyntaxError, EOFError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"'{path}': expected an animation, got {error}") from error
 
 
 def _video_frames(path: str) -> Iterator[tuple[int, np.ndarray]]:

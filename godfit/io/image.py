@@ -3,7 +3,8 @@
 Arrays are (height, width) or (height, width, 3), row 0 at the top, 1.0 = the brightest level.
 A format is recognised by the file's first bytes, never by its name. Each format has the reader that
 keeps all of its bits: imagecodecs for PNG (Pillow and imageio cut 16-bit colour to 8), Pillow for
-JPEG (no other raises for a file that is cut short), tifffile, OpenEXR and numpy.
+JPEG (no other raises for a file that is cut short), tifffile, OpenEXR and numpy. The formats that
+need one call of a library are in ``godfit.io.readers``.
 """
 
 from __future__ import annotations
@@ -21,14 +22,18 @@ from typing import Any
 import numpy as np
 
 from godfit.errors import InputError
+from godfit.io import readers
+from godfit.io.readers import CheckSize, Reader, Samples
 from godfit.runtime.files import atomic_write
 
 LEVELS = 255.0
 """8-bit levels from black to white; residuals and noise are given in them."""
 TRANSFERS = ("none", "srgb")
 """Transfer functions by which files may be encoded."""
-IMAGE_FORMATS = "PNG, JPEG, TIFF, EXR or .npy"
-"""Formats that are read, as errors name them."""
+IMAGE_FORMATS = "PNG, JPEG, TIFF, EXR, WebP, AVIF, HDR, TGA, BMP, PPM or .npy"
+"""Formats that are read, as errors name them; fewer than there are."""
+FEWEST_CODES = 16
+"""Different codes that an image needs to tell how many of its bits are in use."""
 MAX_PIXELS = 2**29
 """Pixels above which a header counts as damaged or a decompression bomb."""
 SRGB_LINEAR_END = 0.04045
@@ -81,20 +86,49 @@ def encode(x: Any, transfer: str) -> Any:
     return xp.where(x <= SRGB_LINEAR_END_DECODED, x * 12.92, power)
 
 
-def read_image(path: str | os.PathLike[str], *, transfer: str = "none") -> Image:
-    """Read a PNG, JPEG, TIFF, EXR or .npy file; values are decoded to linear, alpha is dropped.
+def read_image(
+    path: str | os.PathLike[str], *, transfer: str = "none", finite: bool = True
+) -> Image:
+    """Read an image file; values are decoded to linear.
+
+    Alpha is dropped, unless the colours are all alike and the picture is in the alpha channel:
+    then it is colour over black. With ``finite`` False, NaN and infinity are returned as they are.
 
     Raises InputError, naming the path, for a file that cannot be read whole and exactly.
     """
-    image, alpha = read_layer(path, transfer=transfer)
-    if alpha is None or (alpha >= 1).all():
+    image, alpha = read_layer(path, transfer=transfer, finite=finite)
+    return image if alpha is None else with_alpha(image, alpha)
+
+
+def with_alpha(image: Image, alpha: np.ndarray) -> Image:
+    """``image`` where its ``alpha`` (h, w) is full everywhere or no part of the picture, with a
+    note; where all of the picture is in alpha, the one colour over black, or black over white."""
+    if (alpha >= 1).all():
         return image
-    note = "The alpha channel is not full everywhere; it was dropped."
-    return dataclasses.replace(image, notes=(*image.notes, note))
+    colours = np.atleast_3d(image.values)[alpha > 0]
+    alike = not colours.size or np.ptp(colours, axis=0).max() * LEVELS <= 1
+    if not alike or np.ptp(alpha) * LEVELS <= 1:
+        note = "The alpha channel is not full everywhere; it was dropped."
+        return dataclasses.replace(image, notes=(*image.notes, note))
+    colour = colours[0] if colours.size else np.zeros(1, np.float32)
+    if not colour.any():
+        # Black on nothing, as objects are drawn for a sky to shine past them.
+        note = "The picture is in the alpha channel of a black image: taken as black over white."
+        values = 1 - alpha
+    else:
+        note = "The picture is in the alpha channel, its colour is the same everywhere: taken as "
+        note += "that colour over black."
+        # Alpha is blended in the file's own encoding, as viewers do.
+        encoded = encode(colour.astype(np.float64), image.transfer)
+        shape = alpha.shape if len(colour) == 1 else (*alpha.shape, len(colour))
+        values = (alpha if len(colour) == 1 else alpha[..., None]) * encoded.astype(np.float32)
+        values = values.reshape(shape)
+    linear = np.asarray(decode(values, image.transfer), np.float32)
+    return dataclasses.replace(image, values=linear, notes=(*image.notes, note))
 
 
 def read_layer(
-    path: str | os.PathLike[str], *, transfer: str = "none"
+    path: str | os.PathLike[str], *, transfer: str = "none", finite: bool = True
 ) -> tuple[Image, np.ndarray | None]:
     """As ``read_image``, with the alpha channel, (h, w) float32 from 0 to 1; None without one."""
     _checked_transfer(transfer)
@@ -111,9 +145,9 @@ def read_layer(
     digest, notes = hashlib.sha256(data).hexdigest(), []
     try:
         with _quiet():
-            codes = reader(data, notes)
+            codes, top = reader(data, notes, _check_shape)
         del data  # up to a third of the memory in use
-        values, quantum, alpha = _linear(codes, transfer, notes)
+        values, quantum, alpha = _linear(codes, top, transfer, notes, finite)
     except Exception as error:
         raise InputError(f"{name!r} ({kind}): {str(error) or type(error).__name__}") from error
     return Image(values, quantum, transfer, name, digest, tuple(notes)), alpha
@@ -122,16 +156,19 @@ def read_layer(
 def write_image(
     path: str | os.PathLike[str], values: Any, *, transfer: str = "none", bits: int = 8
 ) -> None:
-    """Write linear (h, w) or (h, w, 3) values to .png (8 or 16 bits) or .npy, whole or not at all.
+    """Write linear (h, w) or (h, w, 3) values to .png (8 or 16 bits), .exr or .npy, whole or not at
+    all.
 
     PNG: encoded with the transfer, clipped to [0, 1], rounded half up to the nearest level.
-    .npy: float32, linear, whatever the transfer. Raises InputError.
+    .exr and .npy: float32, linear, whatever the transfer. Raises InputError.
     """
     _checked_transfer(transfer)
     name = os.fsdecode(path)
     suffix = os.path.splitext(name)[1].lower()
-    if suffix not in (".png", ".npy"):
-        raise InputError(f"{name!r}: expected a name in .png or .npy, got {suffix!r}; rename it")
+    if suffix not in (".png", ".exr", ".npy"):
+        raise InputError(
+            f"{name!r}: expected a name in .png, .exr or .npy, got {suffix!r}; rename it"
+        )
     if bits not in (8, 16):
         raise InputError(f"{name!r}: expected 8 or 16 bits, got {bits!r}")
     values = np.asarray(values)
@@ -145,6 +182,13 @@ def write_image(
         if suffix == ".npy":
             stream = io.BytesIO()
             np.save(stream, values, allow_pickle=False)
+            data = stream.getvalue()
+        elif suffix == ".exr":
+            import OpenEXR
+
+            stream, colour = io.BytesIO(), "RGB" if values.ndim == 3 else "Y"
+            header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+            OpenEXR.File(header, {colour: np.ascontiguousarray(values)}).write(stream)
             data = stream.getvalue()
         else:
             import imagecodecs
@@ -183,9 +227,22 @@ def _by_rows(function: Callable[[Any], Any], source: np.ndarray, dtype: Any) -> 
 
 
 def _checked_finite(values: np.ndarray) -> np.ndarray:
-    if not np.isfinite(values).all():
-        raise InputError("expected finite float32 values, got NaN or infinity; replace them first")
+    bad = ~np.isfinite(values)
+    if bad.any():
+        raise InputError(not_finite(bad))
     return values
+
+
+def not_finite(bad: np.ndarray) -> str:
+    """What is wrong with an image whose values are not finite where ``bad`` (h, w[, c])."""
+    bad = bad.reshape(*bad.shape[:2], -1).any(-1)
+    rows, columns = np.nonzero(bad)
+    x, y = int(columns.min()), int(rows.min())
+    box = f"{x},{y},{int(columns.max()) - x + 1},{int(rows.max()) - y + 1}"
+    return (
+        f"expected finite float32 values, got NaN or infinity in {len(rows)} of {bad.size} pixels "
+        f"inside X,Y,W,H {box}; replace them, or leave them out of a target by --ignore"
+    )
 
 
 def _check_shape(shape: tuple[int, ...]) -> None:
@@ -197,30 +254,79 @@ def _check_shape(shape: tuple[int, ...]) -> None:
 
 
 def _linear(
-    codes: np.ndarray, transfer: str, notes: list[str]
+    codes: np.ndarray, top: int | None, transfer: str, notes: list[str], finite: bool
 ) -> tuple[np.ndarray, float | None, np.ndarray | None]:
-    """The stored samples (h, w[, 1 to 4]) -> linear float32 values, quantum and alpha, to which no
-    transfer applies; adds to ``notes``."""
+    """The stored samples (h, w[, 1 to 4]), integers up to ``top``, -> linear float32 values,
+    quantum and alpha, to which no transfer applies; adds to ``notes``."""
     _check_shape(codes.shape)
     kind = codes.dtype.newbyteorder("=").name
     if kind not in ("uint8", "uint16", "float16", "float32", "float64"):
         raise InputError(f"expected uint8, uint16 or 16 to 64-bit float samples, got {kind}")
-    top = float(np.iinfo(codes.dtype).max) if codes.dtype.kind == "u" else 1.0
-    alpha = None
+    alpha, scale = None, 1.0 if top is None else float(top)
     if codes.ndim == 3:
         if codes.shape[2] in (2, 4):
-            alpha = _by_rows(lambda rows: rows / top, codes[..., -1], np.float32)
+            alpha = _by_rows(lambda rows: rows / scale, codes[..., -1], np.float32)
             codes = codes[..., :-1]
         if codes.shape[2] == 1:
             codes = codes[..., 0]
     if kind == "float64":
         notes.append("64-bit floats were rounded to 32 bits.")
-    if codes.dtype.kind == "u":
-        table = decode(np.arange(top + 1) / top, transfer).astype(np.float32)
-        return _by_rows(lambda rows: table[rows], codes, np.float32), 1 / top, alpha
-    with np.errstate(over="ignore", invalid="ignore"):  # _checked_finite reports them
-        values = _checked_finite(_by_rows(lambda rows: decode(rows, transfer), codes, np.float32))
-    return values, None, alpha
+    if top is not None:
+        unit, whole = _unit(codes, top)
+        if unit != 1:
+            notes.append(f"Every value is a multiple of {unit}: read as levels from 0 to {whole}.")
+        codes = np.minimum(codes // codes.dtype.type(unit), whole) if unit != 1 else codes
+        table = decode(np.arange(whole + 1) / whole, transfer).astype(np.float32)
+        return _by_rows(lambda rows: table[rows], codes, np.float32), 1 / whole, alpha
+    with np.errstate(over="ignore", invalid="ignore"):
+        values = _by_rows(lambda rows: decode(rows, transfer), codes, np.float32)
+    quantum = None
+    if finite:
+        _checked_finite(values)
+    if transfer == "none":
+        quantum = quantum_of(values)
+        if quantum is not None:
+            notes.append(
+                f"All values are multiples of 1/{round(1 / quantum)}: read as such levels."
+            )
+    return values, quantum, alpha
+
+
+def _unit(codes: np.ndarray, top: int) -> tuple[int, int]:
+    """The integer that all 16-bit ``codes`` are multiples of, and the largest level in its units.
+
+    Ten bits in the high bits of sixteen are multiples of 64, and eight bits stretched to sixteen
+    are multiples of 257. Their step is not 1/65535. 1 where few codes differ.
+    """
+    if top != 65535:
+        return 1, top
+    found = np.flatnonzero(np.bincount(codes.reshape(-1), minlength=1))
+    unit = int(np.gcd.reduce(found)) if len(found) >= FEWEST_CODES else 1
+    if unit == 257:
+        return unit, 255
+    # A power of two: the low bits are not in use.
+    bits = (unit & -unit).bit_length() - 1
+    return (2**bits, 2 ** (16 - bits) - 1) if 0 < bits <= 8 else (1, top)
+
+
+def quantum_of(values: np.ndarray) -> float | None:
+    """The step of floats that are all bytes or 16-bit words divided by their largest, or None."""
+    first = values.reshape(-1)[:VALUES_PER_STRIDE]
+    for top in (255, 65535):
+        # A sample decides at once for nearly all that are no such levels.
+        if all(_are_multiples(part, top) for part in (first, values)):
+            return 1 / top
+    return None
+
+
+def _are_multiples(values: np.ndarray, top: int) -> bool:
+    if not (values.size and values.min() >= 0 and values.max() <= 1):
+        return False
+    scaled = values.astype(np.float64) * top
+    rounding = top * float(np.finfo(np.float32).eps)
+    if np.abs(scaled - np.rint(scaled)).max() > rounding:
+        return False
+    return len(np.unique(np.rint(scaled))) >= FEWEST_CODES
 
 
 @contextlib.contextmanager
@@ -248,11 +354,12 @@ def _note_orientation(orientation: int, notes: list[str]) -> None:
         notes.append(f"The orientation tag ({orientation}) was ignored: rows are as stored.")
 
 
-def _read_png(data: bytes, notes: list[str]) -> np.ndarray:
+def _read_png(data: bytes, notes: list[str], check: CheckSize) -> Samples:
     import imagecodecs
 
     # libpng does not read the last chunks, so a cut or damaged tail would pass.
     kinds: set[bytes] = set()
+    used: set[int] = set()
     view, start = memoryview(data), 8
     while b"IEND" not in kinds:
         end = start + 12 + int.from_bytes(view[start : start + 4], "big")
@@ -261,21 +368,28 @@ def _read_png(data: bytes, notes: list[str]) -> np.ndarray:
         if zlib.crc32(view[start + 4 : end - 4]) != int.from_bytes(view[end - 4 : end], "big"):
             raise InputError(f"the chunk at byte {start} is damaged; copy or save it again")
         kinds.add(data[start + 4 : start + 8])
+        if data[start + 4 : start + 8] == b"sBIT":
+            # Bits of each channel that hold something; the others only fill up.
+            used = {bits for bits in data[start + 8 : end - 4] if bits > 0}
         start = end
     if b"acTL" in kinds:
         raise InputError("expected a still image, got an animation; save one frame")
     width, height = (int.from_bytes(data[i : i + 4], "big") for i in (16, 20))
-    _check_shape((height, width))
+    check((height, width))
     depth, colour = data[24], data[25]
     if colour == 3:
         notes.append("A palette image: if its colours were reduced, rounding intervals are wrong.")
     elif depth < 8:
         levels = 2**depth
         notes.append(f"Only {levels} grey levels: the true step is 1/{levels - 1}, not 1/255.")
-    return imagecodecs.png_decode(data)
+    codes = imagecodecs.png_decode(data)
+    if len(used) == 1 and colour != 3 and used < {codes.dtype.itemsize * 8}:
+        (bits,) = used
+        return Samples(codes >> (codes.dtype.itemsize * 8 - bits), 2**bits - 1)
+    return Samples.of(codes)
 
 
-def _read_jpeg(data: bytes, notes: list[str]) -> np.ndarray:
+def _read_jpeg(data: bytes, notes: list[str], check: CheckSize) -> Samples:
     # PIL.Image.open has its own, lower size limit.
     from PIL.JpegImagePlugin import JpegImageFile
 
@@ -283,13 +397,13 @@ def _read_jpeg(data: bytes, notes: list[str]) -> np.ndarray:
     with JpegImageFile(io.BytesIO(data)) as image:
         if image.mode not in ("L", "RGB"):
             raise InputError(f"expected grey or RGB, got {image.mode}; convert it to RGB")
-        _check_shape((image.height, image.width))
+        check((image.height, image.width))
         _note_orientation(image.getexif().get(274, 1), notes)
         image.load()
-        return np.asarray(image)
+        return Samples.of(np.asarray(image))
 
 
-def _read_tiff(data: bytes, notes: list[str]) -> np.ndarray:
+def _read_tiff(data: bytes, notes: list[str], check: CheckSize) -> Samples:
     import tifffile
 
     with tifffile.TiffFile(io.BytesIO(data)) as tiff:
@@ -299,7 +413,7 @@ def _read_tiff(data: bytes, notes: list[str]) -> np.ndarray:
         several |= any(data[tiff.pages.next_page_offset :][: tiff.tiff.offsetsize])
         if several or not isinstance(page, tifffile.TiffPage):
             raise InputError("expected one page, got several; save the wanted page by itself")
-        _check_shape((page.imagelength, page.imagewidth))
+        check((page.imagelength, page.imagewidth))
         colours = {0: 0, 1: 1, 2: 3}.get(page.photometric, 0)  # black is 0; RGB
         if not colours or page.samplesperpixel - colours not in (0, 1):
             got = f"photometric {page.photometric!r} with {page.samplesperpixel} samples"
@@ -317,10 +431,10 @@ def _read_tiff(data: bytes, notes: list[str]) -> np.ndarray:
         codes = page.asarray()
         if page.bitspersample != 8 * codes.dtype.itemsize:  # 12 bits: the step is not 1/65535
             raise InputError(f"expected 8 or 16 bits or floats, got {page.bitspersample} bits")
-        return np.moveaxis(codes, 0, -1) if page.axes == "SYX" else codes
+        return Samples.of(np.moveaxis(codes, 0, -1) if page.axes == "SYX" else codes)
 
 
-def _read_exr(data: bytes, notes: list[str]) -> np.ndarray:
+def _read_exr(data: bytes, notes: list[str], check: CheckSize) -> Samples:
     import OpenEXR
 
     head = OpenEXR.File(io.BytesIO(data), header_only=True)
@@ -329,26 +443,43 @@ def _read_exr(data: bytes, notes: list[str]) -> np.ndarray:
     header = head.header()
     window = np.array(header["dataWindow"], dtype=np.int64)
     width, height = (int(n) for n in window[1] - window[0] + 1)
-    _check_shape((height, width))
+    check((height, width))
     if not np.array_equal(window, header["displayWindow"]):
         notes.append("Only the data window was read; it is not the whole display window.")
     file = OpenEXR.File(io.BytesIO(data))
     if not file.parts:  # OpenEXR's only sign that the pixels could not be decoded
         raise InputError("the file is cut short or damaged; copy or save it again")
     channels = file.channels()
-    colour = next((key for key in ("RGBA", "RGB", "Y") if key in channels), None)
+    layers = {name.rpartition(".")[0] for name in channels if _colour_of(name) in ("RGBA", "RGB")}
+    plain = [name for name in channels if "." not in name and _colour_of(name) is not None]
+    if "RY" in channels:
+        plain = []
+    prefix = ""
+    if not plain and len(layers) == 1:
+        prefix = f"{layers.pop()}."
+        notes.append(f"The layer {prefix[:-1]} was read.")
+    colour = next((key for key in ("RGBA", "RGB", "Y") if prefix + key in channels), None)
     if colour is None or "RY" in channels:
-        raise InputError(f"expected channels R, G, B or Y, got {', '.join(channels)}; rename them")
-    others = sorted(set(channels) - {colour, "A"})
+        raise InputError(
+            f"expected channels R, G, B or Y, or one layer of them, got {', '.join(channels)}; "
+            "rename them or save one layer"
+        )
+    others = sorted(set(channels) - {prefix + colour, prefix + "A"})
     if others:
         notes.append(f"Other channels were dropped: {', '.join(others)}.")
-    codes = channels[colour].pixels
-    if "A" in channels:
-        codes = np.stack([codes, channels["A"].pixels], axis=-1)
-    return codes
+    codes = channels[prefix + colour].pixels
+    if prefix + "A" in channels:
+        codes = np.stack([codes, channels[prefix + "A"].pixels], axis=-1)
+    return Samples.of(codes)
 
 
-def _read_npy(data: bytes, notes: list[str]) -> np.ndarray:
+def _colour_of(channel: str) -> str | None:
+    """What the group of channels of this name holds: RGBA, RGB or Y; None for anything else."""
+    kind = channel.rpartition(".")[2]
+    return kind if kind in ("RGBA", "RGB", "Y") else None
+
+
+def _read_npy(data: bytes, notes: list[str], check: CheckSize) -> Samples:
     # Unlike np.load this copies nothing, never unpickles, and checks the shape before any sample.
     stream = io.BytesIO(data)
     version = np.lib.format.read_magic(stream)
@@ -356,19 +487,17 @@ def _read_npy(data: bytes, notes: list[str]) -> np.ndarray:
         shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
     else:
         shape, fortran, dtype = np.lib.format.read_array_header_2_0(stream)
-    _check_shape(shape)
+    check(shape)
     if dtype.kind not in "fu":
         raise InputError(f"expected uint8, uint16 or float samples, got {dtype}; convert them")
     expected, got = int(np.prod(shape)) * dtype.itemsize, len(data) - stream.tell()
     if got != expected:
         raise InputError(f"expected {expected} bytes of samples, got {got}; save it again")
     flat = np.frombuffer(data, dtype, offset=stream.tell())
-    return flat.reshape(shape, order="F" if fortran else "C")
+    return Samples.of(flat.reshape(shape, order="F" if fortran else "C"))
 
 
-_Reader = Callable[[bytes, list[str]], np.ndarray]
-"""The reader of a format: (file's bytes, notes to add to) -> stored samples (h, w[, 1 to 4])."""
-_READERS: dict[bytes, tuple[str, _Reader]] = {
+_READERS: dict[bytes, tuple[str, Reader]] = {
     b"\x89PNG\r\n\x1a\n": ("PNG", _read_png),
     b"\xff\xd8\xff": ("JPEG", _read_jpeg),
     b"II*\0": ("TIFF", _read_tiff),
@@ -378,17 +507,18 @@ _READERS: dict[bytes, tuple[str, _Reader]] = {
     b"v/1\x01": ("EXR", _read_exr),
     b"\x93NUMPY": (".npy", _read_npy),
 }
-"""Name and reader of each format, by the file's first bytes."""
-_REFUSED = {b"GIF8": "GIF", b"BM": "BMP", b"RIFF": "WebP", b"#?R": "Radiance HDR", b"": "no image"}
-"""Names of formats that are not read, by the file's first bytes."""
+"""Name and reader of each format that needs more than one call, by the file's first bytes."""
 
 
-def _recognise(data: bytes, name: str) -> tuple[str, _Reader]:
+def _recognise(data: bytes, name: str) -> tuple[str, Reader]:
     for magic, reader in _READERS.items():
         if data.startswith(magic):
             return reader
-    got = next(text for magic, text in _REFUSED.items() if data.startswith(magic))
-    got = f"{got} (first bytes {data[:8]!r})" if data else "an empty file"
+    found = readers.recognised(data, os.path.splitext(name)[1].lower())
+    if found is not None:
+        return found
+    kind = readers.name_of_other(data)
+    got = f"{kind} (first bytes {data[:8]!r})" if data else "an empty file"
     raise InputError(
         f"{name!r}: expected {IMAGE_FORMATS}, got {got}; convert it to 16-bit PNG or EXR"
     )

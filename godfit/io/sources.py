@@ -2,36 +2,65 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 
 import numpy as np
 
 from godfit.errors import InputError
+from godfit.io.arrays import host_array, levels_of
 from godfit.io.filters import shrink
-from godfit.io.image import Image, decode, read_image
+from godfit.io.image import Image, decode, not_finite, quantum_of, read_image, with_alpha
 
 Source = str | os.PathLike[str] | np.ndarray | Image
 
 
-def read_source(source: Source, transfer: str) -> Image:
+def read_source(
+    source: Source, transfer: str, name: str = "image", *, finite: bool = True
+) -> Image:
     """The image of a path or an array; an ``Image`` is returned as it is.
 
     Arrays (h, w) or (h, w, 3) hold encoded values: bytes and 16-bit integers up to their largest,
-    floats up to 1. Raises InputError for other shapes, and for numbers that are not finite.
+    floats up to 1. Floats that are all bytes divided by 255, as some readers return them, are
+    bytes. Raises InputError for other shapes and scales, and where ``finite`` for numbers that are
+    not. ``name`` says in errors what the image is.
     """
     if isinstance(source, Image):
         return source
     if isinstance(source, (str, os.PathLike)):
-        return read_image(source, transfer=transfer)
-    array = np.asarray(source)
-    if array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,)) or 0 in array.shape:
-        raise InputError(f"image: expected shape (h, w) or (h, w, 3), got {array.shape}")
-    quantum = {np.dtype(np.uint8): 1 / 255, np.dtype(np.uint16): 1 / 65535}.get(array.dtype)
-    top = 1.0 if quantum is None else round(1 / quantum)
-    values = (array.astype(np.float64) / top).astype(np.float32)
-    if not np.isfinite(values).all():
-        raise InputError("image: expected finite numbers, got NaN or infinity")
-    return Image(np.asarray(decode(values, transfer)), quantum, transfer, "", "")
+        return read_image(source, transfer=transfer, finite=finite)
+    array = host_array(source, name)
+    if array.ndim not in (2, 3) or array.shape[2:] not in ((), (1,), (3,), (4,)):
+        raise InputError(f"{name}: expected shape (h, w) or (h, w, 3), got {array.shape}")
+    if 0 in array.shape:
+        raise InputError(f"{name}: expected shape (h, w) or (h, w, 3), got {array.shape}")
+    values, quantum = levels_of(array, name)
+    notes, alpha = (), None
+    if values.ndim == 3 and values.shape[2] == 4:
+        values, alpha = values[..., :3], values[..., 3]
+    if values.ndim == 3 and values.shape[2] == 1:
+        values = values[..., 0]
+    bad = ~np.isfinite(values)
+    if finite and bad.any():
+        raise InputError(f"{name}: {not_finite(bad)}")
+    if quantum is None and array.dtype.kind == "f" and not bad.any():
+        quantum = quantum_of(values)
+    image = Image(np.asarray(decode(values, transfer)), quantum, transfer, "", "", notes)
+    return image if alpha is None else with_alpha(image, alpha)
+
+
+def without_holes(target: Image, valid: np.ndarray | None, name: str = "target") -> Image:
+    """The target with zeros where it is not finite. Raises InputError where one of those pixels is
+    not among the ignored ones, ``valid`` (h, w) False."""
+    bad = ~np.isfinite(target.values)
+    if not bad.any():
+        return target
+    seen = bad.reshape(*bad.shape[:2], -1).any(-1)
+    if valid is not None and valid.shape == seen.shape:
+        seen = seen & valid
+    if seen.any():
+        raise InputError(f"{target.path or name}: {not_finite(seen)}")
+    return dataclasses.replace(target, values=np.where(bad, np.float32(0), target.values))
 
 
 def occluder_mask(occluder: Image, target: Image) -> np.ndarray:
