@@ -33,13 +33,23 @@ from godfit.flatland.jump_flood import jump_flood
 from godfit.flatland.kernel_records import Grid, TraceInputs
 from godfit.flatland.render_kernel import RENDER_FUNCTIONS
 from godfit.flatland.walk_kernel import FILLED, OUTSIDE
-from godfit.runtime.xla_ffi import declare, register
+from godfit.runtime import xla_ffi
 
-XLA_NAMES = declare(
+XLA_NAMES = xla_ffi.declare(
     "godfit_flatland",
     RENDER_FUNCTIONS | DERIVATIVE_FUNCTIONS | CASCADE_FUNCTIONS,
 )
 """Names of the compiled functions in XLA, by (function, whether in double precision)."""
+
+TRACE_RANKS = "2222211"
+"""Axes of ``trace_arguments``."""
+ARGUMENT_RANKS = {
+    "render": TRACE_RANKS,
+    "tangent": TRACE_RANKS + "22",
+    "transpose": TRACE_RANKS + "2",
+    "merge": "222211",
+}
+"""Axes of each compiled function's arguments."""
 
 ROW_BLOCKS = 16
 """Calls of a compiled function for one picture, which XLA shares out among its threads: more than
@@ -162,9 +172,8 @@ def row_blocks(rows: int, most: int) -> list[tuple[int, int]]:
 def compiled_call(function: str, shape: tuple[int, ...], dtype, *arguments):
     """The result, of this shape and dtype, of a compiled function."""
     name = XLA_NAMES[function, dtype == jnp.float64]
-    register(name)
-    call = jax.ffi.ffi_call(name, jax.ShapeDtypeStruct(shape, dtype), vmap_method="sequential")
-    return call(*arguments)
+    ranks = ARGUMENT_RANKS[function]
+    return xla_ffi.call(name, jax.ShapeDtypeStruct(shape, dtype), *arguments, ranks=ranks)
 
 
 def trace_arguments(

@@ -85,8 +85,9 @@ def diagnose(picture: Picture, model, pixels: np.ndarray, tangent: Tangent) -> l
     c = picture.channels
     prediction = tangent.prediction.reshape(-1, c)
     known = np.ones((len(at), c), bool)
-    if picture.half:
-        known = (target[at] > picture.half) & (target[at] < LEVELS - picture.half)
+    floor, ceiling = picture.ends
+    if np.isfinite(floor) or np.isfinite(ceiling):
+        known = (target[at] > floor + picture.half) & (target[at] < ceiling - picture.half)
     rows = np.flatnonzero(known.ravel())
     if len(rows) < 4 * len(tangent.jacobian) + 16:
         return []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -33,6 +34,12 @@ REPEATED_LINES = 4
 ordinary."""
 BLUR_CLIPPED_SHARE = 0.01
 """Share of clipped pixels under the blur from which a blurred value is not used."""
+
+
+PLATEAU_PIXELS = 16
+"""Pixels that share the largest level, at least, for it to be a plateau: fewer agree by chance."""
+PLATEAU_SHARE = 2e-4
+"""The same as a share of the picture: a plateau of fewer pixels moves no parameter."""
 
 
 class Observation(eqx.Module):
@@ -90,7 +97,11 @@ class Picture:
     ``levels`` (h, w, c) is the target in 8-bit levels of its own encoding, ``half`` half the
     distance between two of its levels (0 for floats), ``valid`` (h, w) is False where the user
     excluded pixels. ``mask`` (h', w') or (h', w', c) and ``background`` (h, w, c) or None are
-    linear. ``foreign`` is the share of pixels that may be of any level.
+    linear. ``foreign`` is the share of pixels that may be of any level. ``rounding`` are levels
+    below and above each value, (h, w, c), within which the true one lies, where that is not
+    ``half`` everywhere. ``floor`` and ``ceiling``
+    are the levels at which the target was clipped: None stands for the ends of the scale of a
+    target with levels, and for none of a target of floats.
     """
 
     levels: np.ndarray
@@ -100,6 +111,9 @@ class Picture:
     background: np.ndarray | None
     transfer: str
     foreign: float = 0.0
+    floor: float | None = None
+    ceiling: float | None = None
+    rounding: tuple[np.ndarray, np.ndarray] | None = None
 
     @staticmethod
     def make(
@@ -124,7 +138,14 @@ class Picture:
         if valid is None:
             valid = np.ones(levels.shape[:2], bool)
         half = 0.0 if target.quantum is None else target.quantum * LEVELS / 2
-        return Picture(levels, half, valid, mask, background, target.transfer)
+        rounding = None
+        if target.rounding is not None and target.transfer == "none":
+            below, above = (
+                np.broadcast_to(np.atleast_3d(z)[..., :channels], levels.shape) * np.float32(LEVELS)
+                for z in target.rounding
+            )
+            rounding = below, above
+        return Picture(levels, half, valid, mask, background, target.transfer, rounding=rounding)
 
     @functools.cached_property
     def small(self) -> Picture:
@@ -150,6 +171,7 @@ class Picture:
             valid=valid if valid.any() else np.ones_like(valid),
             mask=smaller(self.mask),
             background=None if self.background is None else smaller(self.background),
+            rounding=None if self.rounding is None else tuple(map(smaller, self.rounding)),
         )
 
     @property
@@ -167,19 +189,53 @@ class Picture:
         vars(other).update({name: getattr(self, name) for name in CLIPPED})
         return other
 
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Levels at which a value means "at most" and "at least"; infinite where there is none."""
+        floor, ceiling = (0.0, LEVELS) if self.half > 0 else (-np.inf, np.inf)
+        return (
+            floor if self.floor is None else self.floor,
+            ceiling if self.ceiling is None else self.ceiling,
+        )
+
     def intervals(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(n, c) bounds of the values behind ``pixels``; one-sided at the ends of the scale."""
+        """(n, c) bounds of the values behind ``pixels``; one-sided where the target was clipped."""
         t = self.levels.reshape(-1, self.channels)[pixels]
-        if self.half == 0:
+        floor, ceiling = self.ends
+        below = above = np.float32(self.half)
+        if self.rounding is not None:
+            below, above = (z.reshape(-1, self.channels)[pixels] for z in self.rounding)
+        elif self.half == 0 and not np.isfinite(ceiling) and not np.isfinite(floor):
             return t, t
-        lo = np.where(t < self.half, -np.inf, t - self.half)
-        hi = np.where(t > LEVELS - self.half, np.inf, t + self.half)
+        lo = np.where(self._at_floor(t), -np.inf, t - below)
+        hi = np.where(self._at_ceiling(t), np.inf, t + above)
         return lo.astype(np.float32), hi.astype(np.float32)
+
+    def _at_floor(self, levels: Any) -> Any:
+        floor = self.ends[0]
+        return levels < floor + self.half if self.half > 0 else levels <= floor
+
+    def _at_ceiling(self, levels: Any) -> Any:
+        return levels >= self.ends[1] - self.half
+
+    def plateau(self, top: bool) -> tuple[float, int] | None:
+        """The largest level (the smallest where not ``top``) and how many valid pixels share it;
+        None where they are few, or where it is the end of the scale in any case."""
+        shown = self.levels[self.valid]
+        if not shown.size:
+            return None
+        level = float(shown.max() if top else shown.min())
+        known = self._at_ceiling if top else self._at_floor
+        # No model goes below black.
+        if known(np.float32(level)) or (not top and level <= 0):
+            return None
+        count = int(np.count_nonzero((shown == level).any(-1)))
+        return (level, count) if count >= max(PLATEAU_PIXELS, PLATEAU_SHARE * len(shown)) else None
 
     @functools.cached_property
     def above(self) -> np.ndarray:
-        """(h, w, c): values at the top of the scale."""
-        return (self.levels >= LEVELS - self.half) & np.bool_(self.half > 0)
+        """(h, w, c): values at the level from which the target was clipped."""
+        return self._at_ceiling(self.levels)
 
     @functools.cached_property
     def clipped(self) -> np.ndarray:
@@ -258,10 +314,12 @@ class Picture:
         return np.pad(counts, ((1, 0), (1, 0)))
 
     def rendered(self, model: AbstractModel) -> np.ndarray:
-        """(h, w, c) levels of the model's whole image, clamped to the scale, not rounded."""
-        image = np.atleast_3d(render(model, self.mask, self.background, self.size))
-        levels = LEVELS * np.asarray(encode(image, self.transfer))
-        return np.broadcast_to(levels, self.levels.shape).astype(np.float32)
+        """(h, w, c) levels of the model's whole image, clipped as the target is, not rounded."""
+        back = None if self.background is None else on_device(self.background)
+        image = np.atleast_3d(np.asarray(_image(model, on_device(self.mask), back, self.size)))
+        levels = LEVELS * np.asarray(encode(np.maximum(image, 0), self.transfer))
+        levels = np.broadcast_to(np.clip(levels, *self.ends), self.levels.shape)
+        return levels.astype(np.float32)
 
     def informative(self, count: int, seed: int) -> np.ndarray:
         """Sorted indices of ``count`` valid pixels: half at random, half where the target varies,
@@ -306,7 +364,7 @@ class Picture:
         small = self.shrunk(-(-max(self.size) // SLOPES_SIZE))
         if min(small.size) < 2:
             return np.zeros(small.size, np.float32)
-        bright = np.minimum(small.levels.mean(-1), LEVELS - 1)
+        bright = np.minimum(small.levels.mean(-1), min(LEVELS, small.ends[1]) - 1)
         down, along = np.gradient(ndimage.gaussian_filter(bright, 1.0))
         return np.where(over_channels(np.logical_and, small.above), 0, np.hypot(down, along))
 

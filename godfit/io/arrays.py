@@ -88,6 +88,7 @@ def as_light(array: Any, name: str) -> Any:
     """
     import jax
     import jax.numpy as jnp
+    from jax.core import Tracer
 
     if not isinstance(array, jax.Array):
         found = host_array(array, name)
@@ -102,6 +103,6 @@ def as_light(array: Any, name: str) -> Any:
         return array.astype(jnp.float32)
     if kind in (jnp.uint8, jnp.uint16):
         return array.astype(jnp.float32) / (BYTE if kind == jnp.uint8 else WORD)
-    if isinstance(array, jax.core.Tracer):
+    if isinstance(array, Tracer):
         raise InputError(f"{name}: expected floats, bytes or 16-bit words, got {kind}; convert it")
     return jnp.asarray(levels_of(np.asarray(array), name)[0])

@@ -54,6 +54,9 @@ class Image:
     path: str  # as given; "" if made in memory
     sha256: str  # hash of the file's bytes
     notes: tuple[str, ...] = ()  # plain sentences on anything dropped or doubtful
+    # How far below and above the stored value of short floats the true one may lie, float32 of the
+    # shape of ``values``, encoded; None where ``quantum`` says it, and for float32.
+    rounding: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
     def encoded(self) -> np.ndarray:
@@ -145,12 +148,13 @@ def read_layer(
     digest, notes = hashlib.sha256(data).hexdigest(), []
     try:
         with _quiet():
-            codes, top = reader(data, notes, _check_shape)
+            codes, top, step = reader(data, notes, _check_shape)
         del data  # up to a third of the memory in use
         values, quantum, alpha = _linear(codes, top, transfer, notes, finite)
+        rounding = _rounding(codes, step, values)
     except Exception as error:
         raise InputError(f"{name!r} ({kind}): {str(error) or type(error).__name__}") from error
-    return Image(values, quantum, transfer, name, digest, tuple(notes)), alpha
+    return Image(values, quantum, transfer, name, digest, tuple(notes), rounding), alpha
 
 
 def write_image(
@@ -227,7 +231,7 @@ def _by_rows(function: Callable[[Any], Any], source: np.ndarray, dtype: Any) -> 
 
 
 def _checked_finite(values: np.ndarray) -> np.ndarray:
-    bad = ~np.isfinite(values)
+    bad = np.asarray(~np.isfinite(values))
     if bad.any():
         raise InputError(not_finite(bad))
     return values
@@ -235,7 +239,7 @@ def _checked_finite(values: np.ndarray) -> np.ndarray:
 
 def not_finite(bad: np.ndarray) -> str:
     """What is wrong with an image whose values are not finite where ``bad`` (h, w[, c])."""
-    bad = bad.reshape(*bad.shape[:2], -1).any(-1)
+    bad = np.asarray(bad.reshape(*bad.shape[:2], -1).any(-1))
     rows, columns = np.nonzero(bad)
     x, y = int(columns.min()), int(rows.min())
     box = f"{x},{y},{int(columns.max()) - x + 1},{int(rows.max()) - y + 1}"
@@ -274,7 +278,7 @@ def _linear(
     if top is not None:
         unit, whole = _unit(codes, top)
         if unit != 1:
-            notes.append(f"Every value is a multiple of {unit}: read as levels from 0 to {whole}.")
+            notes.append(f"Every value is a multiple of {unit}: the levels go from 0 to {whole}.")
         codes = np.minimum(codes // codes.dtype.type(unit), whole) if unit != 1 else codes
         table = decode(np.arange(whole + 1) / whole, transfer).astype(np.float32)
         return _by_rows(lambda rows: table[rows], codes, np.float32), 1 / whole, alpha
@@ -290,6 +294,23 @@ def _linear(
                 f"All values are multiples of 1/{round(1 / quantum)}: read as such levels."
             )
     return values, quantum, alpha
+
+
+def _rounding(
+    codes: np.ndarray, step: np.ndarray | None, values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """``Image.rounding`` of samples whose neighbours are a ``step`` (h, w) apart."""
+    if step is not None:
+        # Some writers cut the mantissa off and some round it.
+        step = np.broadcast_to(step.reshape(step.shape + (1,) * (values.ndim - 2)), values.shape)
+        return step / 2, step
+    if codes.dtype != np.float16:
+        return None
+    colours = codes.reshape(*codes.shape[:2], -1)[..., : 1 if values.ndim == 2 else 3]
+    with np.errstate(invalid="ignore"):
+        half = np.nan_to_num(np.spacing(colours).astype(np.float32) / 2, posinf=0.0)
+    half = np.abs(half).reshape(values.shape)
+    return half, half
 
 
 def _unit(codes: np.ndarray, top: int) -> tuple[int, int]:
@@ -383,9 +404,9 @@ def _read_png(data: bytes, notes: list[str], check: CheckSize) -> Samples:
         levels = 2**depth
         notes.append(f"Only {levels} grey levels: the true step is 1/{levels - 1}, not 1/255.")
     codes = imagecodecs.png_decode(data)
-    if len(used) == 1 and colour != 3 and used < {codes.dtype.itemsize * 8}:
-        (bits,) = used
-        return Samples(codes >> (codes.dtype.itemsize * 8 - bits), 2**bits - 1)
+    bits = max(used, default=16)
+    if colour != 3 and depth >= 8 and bits < depth:
+        return Samples(codes >> (depth - bits), 2**bits - 1)
     return Samples.of(codes)
 
 
@@ -450,33 +471,22 @@ def _read_exr(data: bytes, notes: list[str], check: CheckSize) -> Samples:
     if not file.parts:  # OpenEXR's only sign that the pixels could not be decoded
         raise InputError("the file is cut short or damaged; copy or save it again")
     channels = file.channels()
-    layers = {name.rpartition(".")[0] for name in channels if _colour_of(name) in ("RGBA", "RGB")}
-    plain = [name for name in channels if "." not in name and _colour_of(name) is not None]
-    if "RY" in channels:
-        plain = []
-    prefix = ""
-    if not plain and len(layers) == 1:
-        prefix = f"{layers.pop()}."
-        notes.append(f"The layer {prefix[:-1]} was read.")
-    colour = next((key for key in ("RGBA", "RGB", "Y") if prefix + key in channels), None)
+    colour = next((key for key in ("RGBA", "RGB", "Y") if key in channels), None)
+    # OpenEXR has the channels NAME.R, NAME.G, NAME.B of a layer together under its name.
+    layers = [name for name, found in channels.items() if found.pixels.ndim == 3]
+    if colour is None and len(layers) == 1:
+        (colour,) = layers
+        notes.append(f"The values are those of the layer {colour}.")
     if colour is None or "RY" in channels:
-        raise InputError(
-            f"expected channels R, G, B or Y, or one layer of them, got {', '.join(channels)}; "
-            "rename them or save one layer"
-        )
-    others = sorted(set(channels) - {prefix + colour, prefix + "A"})
+        got = ", ".join(layers if len(layers) > 1 else channels)
+        raise InputError(f"expected channels R, G, B or Y, or one layer, got {got}; save one alone")
+    others = sorted(set(channels) - {colour, "A"})
     if others:
         notes.append(f"Other channels were dropped: {', '.join(others)}.")
-    codes = channels[prefix + colour].pixels
-    if prefix + "A" in channels:
-        codes = np.stack([codes, channels[prefix + "A"].pixels], axis=-1)
+    codes = channels[colour].pixels
+    if "A" in channels and codes.shape[2:] != (4,):
+        codes = np.dstack([codes, channels["A"].pixels])
     return Samples.of(codes)
-
-
-def _colour_of(channel: str) -> str | None:
-    """What the group of channels of this name holds: RGBA, RGB or Y; None for anything else."""
-    kind = channel.rpartition(".")[2]
-    return kind if kind in ("RGBA", "RGB", "Y") else None
 
 
 def _read_npy(data: bytes, notes: list[str], check: CheckSize) -> Samples:

@@ -25,18 +25,25 @@ TGA_FOOTER = b"TRUEVISION-XFILE.\0"
 """The last bytes of a TGA file of version 2. Version 1 has no signature at all."""
 TGA_KINDS = (1, 2, 3, 9, 10, 11)
 """Image types of TGA: colour-mapped, colour and grey, plain and run-length encoded."""
+QOI_END = bytes(7) + b"\1"
+"""The last bytes of a QOI file, which the decoder does not read."""
 LOSSY = "{} is lossy: rounding intervals are not exact."
 HEADER_BYTES = 4096
 """Bytes in which a text header is searched for: they hold a few comments as well."""
+
+RGBE_BITS = 8
+"""Bits of each mantissa of a Radiance file."""
 
 CheckSize = Callable[[tuple[int, ...]], None]
 
 
 class Samples(NamedTuple):
-    """Stored samples (h, w[, 1 to 4]) and the integer that stands for 1, None for floats."""
+    """Stored samples (h, w[, 1 to 4]), the integer that stands for 1, None for floats, and the
+    ``step`` (h, w) between neighbouring values of floats that share an exponent."""
 
     codes: np.ndarray
     top: int | None
+    step: np.ndarray | None = None
 
     @staticmethod
     def of(codes: np.ndarray) -> Samples:
@@ -173,6 +180,8 @@ def _read_qoi(data: bytes, notes: list[str], check: CheckSize) -> Samples:
 
     width, height = (int.from_bytes(data[i : i + 4], "big") for i in (4, 8))
     check((height, width))
+    if not data.endswith(QOI_END):
+        raise InputError("the file is cut short; copy or save it again")
     return Samples(imagecodecs.qoi_decode(data), 255)
 
 
@@ -183,8 +192,10 @@ def _read_hdr(data: bytes, notes: list[str], check: CheckSize) -> Samples:
     if size is None or size[1] != b"-" or size[3] != b"+":
         raise InputError("expected rows from the top (-Y h +X w), got another order; convert it")
     check((int(size[2]), int(size[4])))
-    notes.append("Radiance HDR has eight bits a channel: rounding intervals are not exact.")
-    return Samples(imagecodecs.rgbe_decode(data), None)
+    codes = imagecodecs.rgbe_decode(data)
+    # The largest channel has a mantissa of eight bits from 128 on.
+    exponent = np.frexp(codes.max(-1))[1]
+    return Samples(codes, None, np.ldexp(np.float32(1), exponent - RGBE_BITS))
 
 
 def _read_netpbm(data: bytes, notes: list[str], check: CheckSize) -> Samples:
@@ -197,7 +208,8 @@ def _read_netpbm(data: bytes, notes: list[str], check: CheckSize) -> Samples:
         # A bitmap's 1 is black.
         return Samples((1 - np.asarray(codes, np.uint8)) * np.uint8(255), 255)
     if codes.dtype.kind == "f":
-        return Samples(codes, None)
+        # Rows are stored from the bottom.
+        return Samples(codes[::-1], None)
     return Samples(codes, int(file.maxval))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,8 @@ from godfit.io.arrays import host_array, levels_of
 from godfit.io.filters import shrink
 from godfit.io.image import Image, decode, not_finite, quantum_of, read_image, with_alpha
 
-Source = str | os.PathLike[str] | np.ndarray | Image
+Source = Any
+"""An image as users give it: a file's name, an ``Image``, or an array of any library."""
 
 
 def read_source(
@@ -40,7 +42,7 @@ def read_source(
         values, alpha = values[..., :3], values[..., 3]
     if values.ndim == 3 and values.shape[2] == 1:
         values = values[..., 0]
-    bad = ~np.isfinite(values)
+    bad = np.asarray(~np.isfinite(values))
     if finite and bad.any():
         raise InputError(f"{name}: {not_finite(bad)}")
     if quantum is None and array.dtype.kind == "f" and not bad.any():
@@ -52,14 +54,14 @@ def read_source(
 def without_holes(target: Image, valid: np.ndarray | None, name: str = "target") -> Image:
     """The target with zeros where it is not finite. Raises InputError where one of those pixels is
     not among the ignored ones, ``valid`` (h, w) False."""
-    bad = ~np.isfinite(target.values)
+    bad = np.asarray(~np.isfinite(target.values))
     if not bad.any():
         return target
-    seen = bad.reshape(*bad.shape[:2], -1).any(-1)
-    if valid is not None and valid.shape == seen.shape:
-        seen = seen & valid
-    if seen.any():
-        raise InputError(f"{target.path or name}: {not_finite(seen)}")
+    used = np.asarray(bad.reshape(*bad.shape[:2], -1).any(-1))
+    if valid is not None and valid.shape == used.shape:
+        used = used & valid
+    if used.any():
+        raise InputError(f"{target.path or name}: {not_finite(used)}")
     return dataclasses.replace(target, values=np.where(bad, np.float32(0), target.values))
 
 

@@ -21,7 +21,7 @@ from godfit.models.disc_box import (
     edge_distances,
 )
 from godfit.runtime.numba_jit import fast_jit, inlined_jit
-from godfit.runtime.xla_ffi import answers_version_query, declare, matrix, register, result, vector
+from godfit.runtime.xla_ffi import answers_version_query, declare, matrix, result, vector
 
 POINT_GROUP = 32
 """Points that are summed side by side, in vector registers."""
@@ -317,9 +317,3 @@ def _double(frame):
 
 
 DISC_TARGETS = declare("godfit_disc", {False: _single, True: _double})
-
-
-def disc_target(double: bool) -> str:
-    """The name of the compiled function, which this call registers with XLA."""
-    register(DISC_TARGETS[double])
-    return DISC_TARGETS[double]

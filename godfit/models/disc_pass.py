@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from godfit.models.disc_kernel import SLOPE_ROWS, VALUE_ROWS, disc_target
+from godfit.models.disc_kernel import DISC_TARGETS, SLOPE_ROWS, VALUE_ROWS
+from godfit.runtime import xla_ffi
 from godfit.scattering.radial.derivatives import RayParameters
 from godfit.scattering.taps import Count
 
@@ -64,12 +65,9 @@ def disc_pass(
     rows = SLOPE_ROWS if slopes else VALUE_ROWS
 
     def call(part):
-        kernel = jax.ffi.ffi_call(
-            disc_target(double),
-            jax.ShapeDtypeStruct((rows, 1, part.shape[1]), dtype),
-            vmap_method="sequential",
-        )
-        return kernel(open_, part, packed, whole)[:, 0]
+        shaped = jax.ShapeDtypeStruct((rows, 1, part.shape[1]), dtype)
+        name = DISC_TARGETS[double]
+        return xla_ffi.call(name, shaped, open_, part, packed, whole, ranks="2211")[:, 0]
 
     n = at.shape[1]
     size = n if n <= POINTS_OF_ONE_CALL else -(-n // PARALLEL_CALLS)

@@ -8,13 +8,14 @@ physics is in ``atmosphere.py``.
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from godfit.io.arrays import as_light
 from godfit.models.atmosphere import MIN_TURBIDITY, Air, hoffman_preetham, zenith_angle
 from godfit.models.base import AbstractModel, Vector
 from godfit.scattering.parameters import Parameter, light_parameters
@@ -171,7 +172,7 @@ class HoffmanPreetham(AbstractModel):
 
     def openness(
         self,
-        mask: Float[Array, "h w"] | Float[Array, "h w c"],
+        mask: Any,
         at: Float[Array, "*points 2"] | None = None,
         method: str = "auto",
     ) -> Float[Array, "..."]:
@@ -180,8 +181,8 @@ class HoffmanPreetham(AbstractModel):
 
     def __call__(
         self,
-        mask: Float[Array, "h w"] | Float[Array, "h w c"],
-        background: Float[Array, "..."] | None = None,
+        mask: Any,
+        background: Any = None,
         *,
         size: tuple[int, int] | None = None,
         pixels: Int[Array, " n"] | None = None,
@@ -190,6 +191,8 @@ class HoffmanPreetham(AbstractModel):
     ) -> Float[Array, "..."]:
         """(H, W, 3) or (n, 3), linear, not clamped; see ``Mitchell.__call__``. ``background`` is
         the picture without air, L_0; None is black."""
+        mask = as_light(mask, "mask")
+        background = None if background is None else as_light(background, "background")
         size = (mask.shape[0], mask.shape[1]) if size is None else size
 
         def unoccluded(mask, at):

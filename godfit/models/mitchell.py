@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy import optimize
 
+from godfit.io.arrays import as_light
 from godfit.models.base import FAINTEST, AbstractModel, Vector
 from godfit.models.coordinates import DENSITY, EXPOSURE, GAIN, KAPPA, SCATTERING_COUNT
 from godfit.runtime.device import on_device
@@ -148,12 +149,13 @@ class Mitchell(AbstractModel):
 
     def light_pass(
         self,
-        mask: Float[Array, "h w"] | Float[Array, "h w c"],
+        mask: Any,
         at: Float[Array, "*points 2"] | None = None,
         method: str = "auto",
     ) -> Float[Array, "..."]:
         """The scattering pass alone, not clamped: at ``at``, (..., 2) columns and rows of the mask,
         or at every pixel of the mask."""
+        mask = as_light(mask, "mask")
         shader = self.convention
         passes = self.taps
         total = 0.0
@@ -167,8 +169,8 @@ class Mitchell(AbstractModel):
 
     def __call__(
         self,
-        mask: Float[Array, "h w"] | Float[Array, "h w c"],
-        background: Float[Array, "..."] | None = None,
+        mask: Any,
+        background: Any = None,
         *,
         size: tuple[int, int] | None = None,
         pixels: Int[Array, " n"] | None = None,
@@ -179,7 +181,7 @@ class Mitchell(AbstractModel):
 
         **Arguments:**
 
-        - `mask`: (h, w) or (h, w, channels), linear.
+        - `mask`: (h, w) or (h, w, channels), linear; integers are levels.
         - `background`: the ordinary pass, (H, W) or (H, W, channels), or None for black.
         - `size`: (H, W) of the image; by default the mask's. A smaller mask is a light pass at
           lower resolution: it is rendered at the mask's size, clamped to [0, 1] as its 8-bit
@@ -191,6 +193,8 @@ class Mitchell(AbstractModel):
 
         **Returns:** (H, W) or (n,), then the channels of the mask or the background.
         """
+        mask = as_light(mask, "mask")
+        background = None if background is None else as_light(background, "background")
         light_pass = functools.partial(self.light_pass, method=method)
         light = at_pixels(light_pass, mask, size, pixels, texels)
         return self.composite(light, background, pixels)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from godfit.inference import diagnostics, sandwich
-from godfit.inference.estimates import Estimate, Solution, estimates
+from godfit.inference.estimates import Estimate, Estimates, Solution, estimates
 from godfit.inference.evaluate import model_at
 from godfit.inference.fitted import Found
 from godfit.inference.information import Misfit, misfit
@@ -94,7 +94,7 @@ def verdict(
     if picture.foreign and not objection:
         objection = _undetermined_place(found.starts_agreed, estimated.params)
     target = picture.levels.reshape(-1, picture.channels)[pixels].reshape(-1)
-    error = np.clip(at.prediction, 0, LEVELS) - target
+    error = np.clip(at.prediction, *picture.ends) - target
     rmse = float(np.sqrt(np.mean(error.astype(np.float64) ** 2)))
     # An upsampled pass was rounded once more, before.
     allowed = WITHIN_ROUNDING * (2 if uncertainty.upsampled > 1 else 1)
@@ -109,7 +109,9 @@ def verdict(
     trusted = trusted and not objection
     # One line of pixels, repeated, has so many explanations that its errors are meaningless.
     a_line = is_a_line(picture) and int(problem.free.sum()) > 2
-    converged = trusted and settled.quiet and not a_line
+    if (problem.free.any() or found.opened) and not objection:
+        objection = nothing_there(picture, estimated)
+    converged = trusted and settled.quiet and not a_line and not objection
     return FitResult(
         converged=converged,
         message=objection or _message(settled, trusted, residual_misfit, a_line),
@@ -120,7 +122,7 @@ def verdict(
         correlations=_correlations(problem.names, estimated.covariance),
         undetermined=estimated.undetermined,
         warnings=(*(s.words for s in uncertainty.suspects), *remarks),
-        notes=notes,
+        notes=(*notes, *_clipped_ends(picture)),
         noise_levels=settled.sigma,
         rmse_levels=rmse,
         psnr_db=float(20 * np.log10(LEVELS / max(rmse, 1e-6))),
@@ -139,6 +141,38 @@ def verdict(
         simulated=found.scatter is not None,
         inputs=files,
     )
+
+
+def nothing_there(picture: Picture, estimated: Estimates) -> str:
+    """Why the picture says nothing about the parameters; empty where it does."""
+    shown = picture.levels[picture.valid]
+    if len(shown) and np.ptp(shown, axis=0).max() == 0:
+        level = shown[0].max()
+        clipped = ", the brightest there is" if picture.clipped.any() else ""
+        return (
+            f"every pixel of the target has the same value ({level:g} of {LEVELS:g}{clipped}): it "
+            "determines no light; give a frame with rays"
+        )
+    if np.ptp(picture.mask.reshape(-1, picture.mask.shape[-1]), axis=0).max(initial=0) == 0:
+        return (
+            f"every pixel of the mask has the same value ({picture.mask.max():g} of 1): it casts "
+            "no rays; give the mask that the light pass reads, white where light comes through"
+        )
+    known = (*estimated.params.values(), *estimated.combined.values())
+    if all(estimate.stderr is None for estimate in known):
+        return "the picture determines no parameter; compare target and mask by eye"
+    return ""
+
+
+def _clipped_ends(picture: Picture) -> tuple[str, ...]:
+    """A note for each end of the scale that was found in the picture."""
+    shown, notes = picture.levels[picture.valid], []
+    for level, name in ((picture.ceiling, "largest"), (picture.floor, "smallest")):
+        if level is not None:
+            count = int((shown == np.float32(level)).any(-1).sum())
+            value = f"{level:g}" if picture.half > 0 else f"{level / LEVELS:g}"
+            notes.append(f"{count:,} pixels share the {name} value, {value}: taken as clipped")
+    return tuple(notes)
 
 
 def _undetermined_place(agreed: tuple[int, int] | None, params: dict[str, Estimate]) -> str:

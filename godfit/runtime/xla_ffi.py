@@ -142,3 +142,25 @@ def register(name: str) -> bool:
             jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(compiled.ctypes), platform="cpu")
             target.registered.set()
     return True
+
+
+def call(name: str, result: jax.ShapeDtypeStruct, *arguments: jax.Array, ranks: str) -> jax.Array:
+    """The result of the custom call ``name``, whose float arrays are all of the result's type.
+
+    A compiled function reads its buffers as what it was written for, whatever they are. An array of
+    another type or rank would be read beyond its end: ``ranks`` has a digit for each argument.
+    Raises TypeError. The lengths are the caller's to match.
+    """
+    if result.dtype not in (jax.numpy.float32, jax.numpy.float64):
+        raise TypeError(
+            f"{name}: expected float32 or float64, got {result.dtype}; convert the mask"
+        )
+    kinds = (result.dtype, jax.numpy.dtype("int32"))
+    for place, (argument, rank) in enumerate(zip(arguments, ranks, strict=True)):
+        if argument.dtype not in kinds or argument.ndim != int(rank):
+            raise TypeError(
+                f"{name}: expected argument {place} of {rank} axes in {result.dtype} or int32, got "
+                f"{argument.ndim} in {argument.dtype}"
+            )
+    register(name)
+    return jax.ffi.ffi_call(name, result, vmap_method="sequential")(*arguments)

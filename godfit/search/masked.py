@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
+
 from godfit.inference import indirect_inference
 from godfit.inference.fitted import Found
 from godfit.inference.information import evidence, undetermined
+from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.problem import Problem, pixels_used
 from godfit.inference.settle import settle
 from godfit.inference.strategy import (
@@ -15,6 +19,7 @@ from godfit.inference.strategy import (
     stages,
     starting_points,
 )
+from godfit.io.image import LEVELS
 from godfit.models.base import AbstractModel
 from godfit.models.mitchell import Mitchell
 from godfit.search import density_minima, multigrid, multistart
@@ -41,6 +46,30 @@ def _(model: Mitchell, problem: Problem) -> Open | None:
 def search_mask(problem: Problem, given: dict[str, float], effort: Effort) -> Found:
     """The fit of ``problem``: on a small copy from a grid of starts, on a few thousand sharp
     pixels, and on all of them; then doubts about the answer, and what the picture leaves open."""
+    found = _on_all_pixels(problem, given, effort)
+    if found.problem.free.any() and found.settled.sigma > WITHIN_ROUNDING:
+        found = _with_plateaus(found, given, effort)
+    problem = found.problem
+    if (
+        effort.inquire
+        and problem.free.any()
+        and problem.model.banded
+        and multistart.doubtful(found)
+    ):
+        begun = starting_points(problem, given)
+        found = multistart.again(found, begun[:RETRIED], effort.report)
+        effort.report("mask or transfer interpreted otherwise")
+
+        def starts(picture):
+            return starting_points(problem.replaced(picture=picture), given)
+
+        found = found.replaced(remedy=multistart.remedy(found, starts))
+    found = hold_open(found, given)
+    return indirect_inference.corrected(found) if effort.inquire else found
+
+
+def _on_all_pixels(problem: Problem, given: dict[str, float], effort: Effort) -> Found:
+    """The likeliest point on all pixels."""
     model, picture = problem.model, problem.picture
     any_free = problem.free.any()
     effort.report("screening")
@@ -55,17 +84,24 @@ def search_mask(problem: Problem, given: dict[str, float], effort: Effort) -> Fo
     effort.report(f"all {len(whole.pixels):,} pixels")
     settled, at, counted = density_minima.likeliest(problem, candidates, whole)
     at = at.thinned(picture.repeats)
-    found = Found(problem, counted, settled, at, inquire=effort.inquire)
-    if effort.inquire and any_free and model.banded and multistart.doubtful(found):
-        found = multistart.again(found, begun[:RETRIED], effort.report)
-        effort.report("mask or transfer interpreted otherwise")
+    return Found(problem, counted, settled, at, inquire=effort.inquire)
 
-        def starts(picture):
-            return starting_points(problem.replaced(picture=picture), given)
 
-        found = found.replaced(remedy=multistart.remedy(found, starts))
-    found = hold_open(found, given)
-    return indirect_inference.corrected(found) if effort.inquire else found
+def _with_plateaus(found: Found, given: dict[str, float], effort: Effort) -> Found:
+    """The fit with the values that many pixels share at an end of the target's scale taken as
+    clipped, where that is likelier than a flat area. Both are probabilities of the same values;
+    the level of the clipping is one more number, of 256."""
+    for top in (True, False):
+        plateau = found.problem.picture.plateau(top)
+        if plateau is None:
+            continue
+        effort.report(f"values of {plateau[0]:g} taken as clipped")
+        end = {"ceiling" if top else "floor": plateau[0]}
+        picture = dataclasses.replace(found.problem.picture, **end)
+        other = _on_all_pixels(found.problem.replaced(picture=picture), given, effort)
+        if other.settled.log_likelihood > found.settled.log_likelihood + math.log(LEVELS + 1):
+            found = other
+    return found
 
 
 def hold_open(found: Found, given: dict[str, float]) -> Found:

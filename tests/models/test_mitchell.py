@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from godfit.models.mitchell import Mitchell
+from godfit.runtime import xla_ffi
 from godfit.scattering import upsample
+from godfit.scattering.radial import radial_sum
 from godfit.scattering.taps import CONVENTIONS
 from tests.support import scattering_oracle as oracle
 
@@ -190,3 +192,31 @@ def test_three_is_three_box_blurs_towards_the_light():
     expected = 0.69 * (1 - image)
     actual = render(model("three", point=(0.69, 1.0, 1.0, 1.0)), jnp.asarray(mask))
     np.testing.assert_allclose(actual, expected, rtol=1e-11)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int64, np.float64, ">f4", np.float32])
+def test_a_mask_of_any_type_is_its_light(dtype):
+    """Compiled code reads a mask's bytes as floats: every type is converted before."""
+    levels = np.random.default_rng(4).integers(0, 256, (14, 11))
+    model = Mitchell(0.08, 0.97, 0.9, 0.6, light=(0.56, 0.6), shader="dawntime", samples=30)
+    mask = (levels / 255).astype(dtype) if np.dtype(dtype).kind == "f" else levels.astype(dtype)
+    if dtype == np.uint16:
+        mask *= 257
+    expected = np.asarray(model(jnp.asarray(levels / 255, jnp.float32)))
+    for given in (mask, np.asfortranarray(mask), np.repeat(mask, 2, 0)[::2]):
+        np.testing.assert_allclose(model(given), expected, rtol=1e-5, atol=1e-7)
+    taps = model.taps[0]
+    np.testing.assert_allclose(
+        radial_sum(mask, model.light[0], taps), model.light_pass(mask), rtol=1e-5, atol=1e-7
+    )
+
+
+def test_compiled_code_refuses_other_types_and_ranks():
+    shaped = jax.ShapeDtypeStruct((1, 3, 4), jnp.float32)
+    for mask, words in (
+        (jnp.zeros((3, 4), jnp.uint8), "got 2 in uint8"),
+        (jnp.zeros((3, 4, 3), jnp.float32), "got 3 in float32"),
+        (jnp.zeros((3, 4), jnp.float64), "got 2 in float64"),
+    ):
+        with pytest.raises(TypeError, match=words):
+            xla_ffi.call("any", shaped, mask, ranks="2")

@@ -51,11 +51,12 @@ def compile_fastest() -> None:
     Does nothing where the fastest method has none.
     """
     if jax.default_backend() == "cpu" and "strips" in EXACT:
-        from godfit.scattering.radial.strips_kernel import target
+        from godfit.runtime.xla_ffi import register
+        from godfit.scattering.radial.strips_kernel import STRIP_CALLS
 
         # In the order in which a fit needs them.
-        target("points", double=False)
-        target("picture", double=False)
+        for kind in ("points", "picture"):
+            register(STRIP_CALLS[kind, False])
 
 
 def exact(

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from godfit.errors import InputError
+from godfit.io.arrays import as_light
 from godfit.scattering.radial.exact import EXACT, Method, fastest
 from godfit.scattering.radial.gauss import gauss
 from godfit.scattering.radial.low_resolution import low_resolution
@@ -27,8 +30,8 @@ resolution, or the number of quadrature nodes."""
 
 
 def radial_sum(
-    mask: Float[Array, "h w"] | Float[Array, "h w c"],
-    light: Float[Array, "2"],
+    mask: Any,
+    light: Any,
     taps: Taps,
     *,
     at: Float[Array, "*points 2"] | None = None,
@@ -39,7 +42,7 @@ def radial_sum(
     **Arguments:**
 
     - `mask`: occlusion mask, (h, w) or (h, w, channels), row 0 at the top; interpolated bilinearly
-      and clamped to its edge.
+      and clamped to its edge. Integers are levels, see `godfit.io.arrays`.
     - `light`: (u, v) of the light in texture coordinates, on or off the image.
     - `taps`: positions and weights of the taps.
     - `at`: (..., 2) columns and rows to evaluate at, in pixels of the mask (whole numbers are pixel
@@ -49,13 +52,17 @@ def radial_sum(
     **Returns:** values shaped like `at` without its last axis ((h, w) by default), then channels.
 
     Differentiable in `mask`, `light` and `taps`, forward and reverse. Raises ValueError for an
-    unknown method or one that cannot serve these taps.
+    unknown method or one that cannot serve these taps, and InputError, which is one, for a mask
+    that holds no light.
     """
     if method == "auto":
         method = fastest(taps)
     if method not in METHODS:
         raise ValueError(f"method: expected auto or one of {', '.join(METHODS)}, got '{method}'")
     evaluate = METHODS[method]
+    mask = as_light(mask, "mask")
+    if mask.ndim not in (2, 3) or 0 in mask.shape:
+        raise InputError(f"mask: expected shape (h, w) or (h, w, channels), got {mask.shape}")
     light = jnp.asarray(light, mask.dtype)
     taps = jax.tree.map(lambda z: jnp.asarray(z, mask.dtype), taps)
     if mask.ndim == 2:

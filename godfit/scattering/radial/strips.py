@@ -20,9 +20,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from godfit.runtime import xla_ffi
 from godfit.scattering.radial.derivatives import RayParameters, geometric_sum
 from godfit.scattering.radial.pairs import pair_sums
-from godfit.scattering.radial.strips_kernel import FLAT_CELL, TILE_ROWS, target
+from godfit.scattering.radial.strips_kernel import FLAT_CELL, STRIP_CALLS, TILE_ROWS
 from godfit.scattering.taps import Count, Taps
 
 MAX_STRIP_CALLS = 16
@@ -56,10 +57,11 @@ def strip_sums(
     sums = 4 if slopes else 1
 
     def call(kind, shape, *arguments):
-        custom_call = jax.ffi.ffi_call(
-            target(kind, double), jax.ShapeDtypeStruct(shape, dtype), vmap_method="sequential"
+        shaped = jax.ShapeDtypeStruct(shape, dtype)
+        ranks = "22" + ("211" if kind == "points" else "11")
+        return xla_ffi.call(
+            STRIP_CALLS[kind, double], shaped, padded, flat, *arguments, ranks=ranks
         )
-        return custom_call(padded, flat, *arguments)
 
     use_flat = at is None or MAX_TEXELS_PER_POINT * at.shape[1] >= h * w
     flat = _flat_cells(padded) if use_flat else _no_flat_cells(padded)

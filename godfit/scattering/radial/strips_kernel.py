@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from godfit.runtime.numba_jit import fast_jit, inlined_jit
-from godfit.runtime.xla_ffi import answers_version_query, declare, matrix, register, result, vector
+from godfit.runtime.xla_ffi import answers_version_query, declare, matrix, result, vector
 
 TILE_COLUMNS = 64
 """Columns of a tile: the fixed length of the inner loops, which fills the vector registers."""
@@ -333,10 +333,3 @@ STRIP_CALLS = declare(
         ("points", True): _points_double,
     },
 )
-
-
-def target(kind: str, double: bool) -> str:
-    """The name of a custom call, "picture" or "points", registered with XLA."""
-    name = STRIP_CALLS[kind, double]
-    register(name)
-    return name
