@@ -291,7 +291,7 @@ def _linear(
         quantum = quantum_of(values)
         if quantum is not None:
             notes.append(
-                f"All values are multiples of 1/{round(1 / quantum)}: read as such levels."
+                f"All values are multiples of 1/{round(1 / quantum)}, which is taken as the step."
             )
     return values, quantum, alpha
 
