@@ -59,7 +59,7 @@ def fit(
     pass_scale: float | None = None,
     fov: float | None = None,
     distance: float | np.ndarray | None = None,
-    fix: Mapping[str, float | None] | None = None,
+    fix: Mapping[str, float | None] | Sequence[str] | None = None,
     start: Mapping[str, float] | None = None,
     valid: np.ndarray | None = None,
     transfer: str = "none",
@@ -101,7 +101,8 @@ def fit(
     - `fov`, `distance`: of Hoffman-Preetham without a scene: the vertical field of view in degrees
       and the distance of visible surfaces, a number or (h, w), in metres or in units that `scale`
       converts to metres. With a scene, `distance` is that of the sky.
-    - `fix`: parameters held, at a value or (None) at the start or the shader's default.
+    - `fix`: parameters held, at a value or (None) at the start or the shader's default; names alone
+      are held there too.
     - `start`: parameters to start from. None is needed.
     - `valid`: (h, w), False where the target is to be ignored.
     - `transfer`: `"none"` or `"srgb"`, how the target (and the background) were encoded.
@@ -182,7 +183,7 @@ def _fit_bare(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     images = {"target": _target_of(request)}
     shading = mitchell_template(settings.get("shader", "mitchell"), settings.get("samples"), 1)
     options = (
-        settings.get("pass_scale"), request.fix or {}, request.start or {}, request.seed,
+        settings.get("pass_scale"), request.held_at, request.start or {}, request.seed,
         request.report,
     )  # fmt: skip
     if request.bright_pass:
@@ -250,7 +251,7 @@ def _pose(request: Request) -> Posed:
             request.channels or model.channels,
         )  # fmt: skip
     images = {role: dataclasses.replace(im, values=NO_VALUES) for role, im in images.items()}
-    given, held = given_and_held(model, request.fix or {}, start)
+    given, held = given_and_held(model, request.held_at, start)
     free = np.isnan(held) & model.used
     assert scene is None or isinstance(scene, Scene)
     return Posed(Problem(model, picture, free, held, request.seed), given, notes, images, scene)

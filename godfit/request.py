@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import filecmp
 import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -14,6 +15,7 @@ from godfit.errors import InputError
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.model import Flatland
 from godfit.inference.problem import MAX_VALUES
+from godfit.io.image import Image
 from godfit.io.sources import Source
 from godfit.models.hoffman_preetham import HoffmanPreetham
 from godfit.models.mitchell import Mitchell
@@ -44,7 +46,7 @@ class Request:
     pass_scale: float | None = None
     fov: float | None = None
     distance: float | np.ndarray | None = None
-    fix: Mapping[str, float | None] | None = None
+    fix: Mapping[str, float | None] | Sequence[str] | None = None
     start: Mapping[str, float] | None = None
     valid: np.ndarray | None = None
     transfer: str = "none"
@@ -71,6 +73,12 @@ class Request:
         given = {"shader": self.shader, "samples": self.samples, "pass_scale": self.pass_scale}
         return dict(scene) | {name: value for name, value in given.items() if value is not None}
 
+    @property
+    def held_at(self) -> dict[str, float | None]:
+        """The parameters that are held, by name."""
+        assert self.fix is None or isinstance(self.fix, Mapping)
+        return dict(self.fix or {})
+
     def report(self, text: str) -> None:
         """Report that a stage begins."""
         if self.progress is not None:
@@ -80,6 +88,16 @@ class Request:
         """The request, with its scene loaded. Raises InputError for options that exclude each
         other."""
         check_model(self.kind, self.free, self.shader, self.lights, self.fov, self.distance)
+        if self.fix is not None and not isinstance(self.fix, Mapping):
+            # Names alone are held where the search starts.
+            names = [self.fix] if isinstance(self.fix, str) else list(self.fix)
+            return dataclasses.replace(self, fix=dict.fromkeys(names)).checked()
+        for role in ("mask", "background"):
+            if is_same(self.target, getattr(self, role)):
+                raise InputError(
+                    f"{role}: expected another image than the target, got the same one; give what "
+                    f"the light pass reads"
+                )
         if self.kind == Flatland.name:
             self._check_plane()
         elif self.canvas is not None or (self.rays is not None and not self.bare):
@@ -122,6 +140,22 @@ class Request:
                 raise InputError(
                     f"{option}: expected none with the model {name}, got one; leave it out"
                 )
+
+
+def is_same(target: Source, other: Source | None) -> bool:
+    """Whether two images are one: one array, one file, or files of the same bytes."""
+    if other is None:
+        return False
+    if target is other:
+        return True
+    paths = [s.path if isinstance(s, Image) else s for s in (target, other)]
+    if not all(isinstance(path, (str, os.PathLike)) and os.fspath(path) for path in paths):
+        return False
+    try:
+        return os.path.samefile(*paths) or filecmp.cmp(*paths, shallow=False)
+    except (OSError, ValueError):
+        # A file that cannot be read is reported where it is read.
+        return False
 
 
 def check_model(

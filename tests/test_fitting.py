@@ -1,5 +1,7 @@
 """The fit against truths that it has not seen: values, errors, bounds, what is left open."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -224,6 +226,7 @@ def test_open_directions_are_found():
         ({"pass_scale": 0.0}, "pass scale: expected"),
         ({"valid": np.zeros((SIZE, SIZE), bool)}, "ignore less"),
         ({"background": np.zeros((3, 3), np.uint8)}, "background: expected"),
+        ({"shader": "three", "fix": {"decay": 0.9}}, "decay', which this shader does not have"),
     ],
 )
 def test_bad_options_say_what_to_do(options, words):
@@ -239,6 +242,12 @@ def test_mask_of_another_shape_is_refused(shape):
         fit(target, np.zeros(shape, np.uint8))
 
 
+def test_the_target_is_not_its_own_mask():
+    target, _ = picture(3)
+    with pytest.raises(godfit.InputError, match="mask: expected another image than the target"):
+        fit(target, target)
+
+
 def test_infinite_arrays_are_refused():
     with pytest.raises(godfit.InputError, match="finite"):
         fit(np.full((8, 8), np.inf), np.ones((8, 8), np.float32))
@@ -248,3 +257,64 @@ def test_image_in_memory_is_taken_as_it_is():
     target, mask = picture(3)
     image = Image(target.astype(np.float32) / 255, 1 / 255, "none", "", "")
     assert fit(image, mask).params == fit(target, mask).params
+
+
+@pytest.mark.parametrize("kind", ["white at 200", "floats", "floats at .6", "black at 20"])
+def test_values_that_many_pixels_share_at_an_end_are_clipped(kind):
+    """The truth is found where the renderer clamped, and the clipping is said."""
+    target, mask = picture(3, exposure=0.3)
+    light = target / 255
+    assert (target > 150).mean() > 0.02
+    clipped = {
+        "white at 200": np.minimum(target, 200),
+        "floats": np.minimum(light * 1.3, 1),
+        "floats at .6": np.minimum(light, 0.6),
+        "black at 20": np.maximum(target, 20),
+    }[kind]
+    result = fit(clipped, mask)
+    off = errors(result, exposure=0.3 * (1.3 if kind == "floats" else 1))
+    assert result.converged, result.message
+    assert any("taken as clipped" in note for note in result.notes)
+    for name in ("decay", "density", "light_x", "light_y"):
+        assert off[name] < 5 * result.params[name].stderr, name
+        assert result.params[name].stderr < 0.01, name
+
+
+def test_a_flat_white_area_is_not_clipped():
+    """A plateau below the end of the scale that the model explains stays what it is."""
+    target, mask = picture(3, exposure=0.05)
+    result = fit(target, mask)
+    level, count = result.picture.plateau(top=True)
+    assert level == target.max() < 255
+    assert count >= 16
+    assert result.converged
+    assert not any("clipped" in note for note in result.notes)
+
+
+@pytest.mark.parametrize(
+    ("target", "mask", "words"),
+    [
+        (np.full((96, 96), 255, np.uint8), None, "every pixel of the target .* the brightest"),
+        (np.full((96, 96), 70, np.uint8), None, "every pixel of the target"),
+        (None, np.zeros((96, 96), np.uint8), "every pixel of the mask"),
+        (None, np.full((96, 96), 255, np.uint8), "every pixel of the mask"),
+    ],
+)
+def test_what_holds_nothing_is_not_converged(target, mask, words):
+    known = picture(3)
+    result = fit(*(a if a is not None else b for a, b in zip((target, mask), known, strict=True)))
+    assert not result.converged
+    assert re.search(words, result.message)
+
+
+def test_names_alone_are_held_at_the_defaults():
+    target, mask = picture(3)
+    held = fit(target, mask, fix=["density"], inquire=False)
+    assert held.params["density"].fixed
+    assert held.params == fit(target, mask, fix={"density": None}, inquire=False).params
+
+
+def test_a_model_reads_what_a_reader_returns():
+    """The README's example: levels of a file, and the floats that some readers make of them."""
+    target, mask = picture(3)
+    assert fit(target / np.float32(255), mask / np.float32(255)).params == fit(target, mask).params

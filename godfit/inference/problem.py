@@ -146,6 +146,12 @@ def given_and_held(
                     f"{option}: expected one of {', '.join(table)}, got '{name}'; "
                     f"did you mean '{near}'?"
                 )
+            if not model.used[list(table).index(name)]:
+                used = [n for n, there in zip(table, model.used, strict=True) if there]
+                raise InputError(
+                    f"{option}: expected one of {', '.join(used)}, got '{name}', which this shader "
+                    "does not have; leave it out"
+                )
             if value is None:
                 value = given.get(name, model.defaults.get(name))
             if value is None:

@@ -68,9 +68,9 @@ def top_of(found: np.ndarray, name: str) -> int | None:
             )
         return BYTE if most <= BYTE else WORD
     if kind != "b" and found.size:
-        with np.errstate(invalid="ignore"):
-            above = float((found > 1).mean())
-            most = float(np.nanmax(found, initial=0, where=np.isfinite(found)))
+        finite = found[np.isfinite(found)].astype(np.float64)
+        above = float((finite > 1).mean()) if finite.size else 0.0
+        most = float(finite.max(initial=0))
         if above > BRIGHT_SHARE and most <= WORD:
             top = BYTE if most <= BYTE else WORD
             raise InputError(

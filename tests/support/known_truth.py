@@ -29,8 +29,8 @@ def picture(seed, noise=0.0, kind="triangles", **changes):
 
 
 def fit(target, mask, **options):
-    options = {"shader": "dawntime", "samples": SAMPLES} | options
-    return godfit.fit(target, mask=mask, **options)
+    options = {"shader": "dawntime", "samples": SAMPLES, "mask": mask} | options
+    return godfit.fit(target, **options)
 
 
 def errors(result, **changes):
