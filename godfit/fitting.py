@@ -153,9 +153,14 @@ class Clock(NamedTuple):
 
 def _fit(request: Request) -> FitResult:
     clock = Clock.start()
+    return _concluded(*found_for(request), clock)
+
+
+def found_for(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image]]:
+    """What the search of a checked request leads to, notes, and the images by role: a fit before
+    its verdict."""
     if request.bare:
-        found, notes, images = _fit_bare(request)
-        return _concluded(found, notes, images, clock)
+        return _fit_bare(request)
     posed = _pose(request)
     problem = posed.problem
     effort = Effort(request.inquire, request.max_values, request.report)
@@ -173,8 +178,7 @@ def _fit(request: Request) -> FitResult:
         picture = refined_mask(problem.model, problem, posed.scene, posed.given, request.report)
         problem = problem.replaced(picture=picture)
     found = search(problem.model, problem, posed.given, effort)
-    found = found.replaced(opened=always_open + found.opened)
-    return _concluded(found, notes, posed.images, clock)
+    return found.replaced(opened=always_open + found.opened), notes, posed.images
 
 
 def _fit_bare(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image]]:

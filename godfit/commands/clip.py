@@ -18,10 +18,19 @@ from godfit.commands.study import (
     working,
     written,
 )
-from godfit.io.frames import frames
+from godfit.errors import InputError
+from godfit.io.frames import frames, is_video
+from godfit.io.sidecar import read_sidecar
 
-ACCEPTED = ("shader", "samples", "pass_scale", "transfer", "fix", "start", "ignore")
+ACCEPTED = (
+    "shader", "samples", "pass_scale", "transfer", "fix", "start", "ignore", "mask", "scene",
+    "background",
+)  # fmt: skip
 """Options of ``godfit fit`` that frames take too."""
+OF_EACH_FRAME = ("mask", "scene", "background")
+"""Options whose values may name a file for each frame."""
+OF_ALL_FRAMES = ("shader", "samples", "pass_scale", "transfer")
+"""Settings that all frames share."""
 
 
 def fit_frames(targets: tuple[str, ...], every: int, given: Mapping[str, Any], run: Run) -> int:
@@ -31,21 +40,60 @@ def fit_frames(targets: tuple[str, ...], every: int, given: Mapping[str, Any], r
         if name not in ACCEPTED:
             option = name.replace("_", "-")
             raise click.UsageError(f"--{option}: expected one picture with it, got several frames")
+    if "mask" in options and "scene" in options:
+        raise click.UsageError("expected --mask or --scene, got both; a scene draws its own mask")
     folder = folder_for(common_name(targets), run.output)
+    sidecars = {target: read_sidecar(target) for target in targets if not is_video(target)}
+    options = shared_settings(sidecars) | options
+    files = {name: options.pop(name) for name in OF_EACH_FRAME if name in options}
     images = frames(targets, every, options.pop("transfer", "none"))
     ignore, valid = options.pop("ignore", ()), None
     if ignore:
         valid = valid_pixels(ignore, next(iter(frames(targets, every))).values.shape[:2])
     with working(run) as progress:
-        from godfit.studies.clip import fit_clip
+        from godfit.studies.clip import Shot, fit_clip
 
         prepare(options, run, progress)
-        result = fit_clip(images, valid=valid, seed=run.seed, progress=progress, **options)
+        shots = (
+            Shot(image, **sources_of(image.path, number, sidecars.get(image.path, {}), files))
+            for number, image in enumerate(images, 1)
+        )
+        result = fit_clip(shots, valid=valid, seed=run.seed, progress=progress, **options)
         progress("drawing")
         result.save(folder, command_line())
     notes = [*result.notes, *result.undetermined, *result.warnings]
     print_result(result, notes, run, written(folder, "fit.json", "fit.png"))
     return 0 if result.converged else NOT_CONVERGED
+
+
+def shared_settings(sidecars: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """The settings that the files beside the frames agree on. Raises InputError where they do not:
+    frames of a clip have one shader."""
+    shared: dict[str, Any] = {}
+    for target, settings in sidecars.items():
+        for name in OF_ALL_FRAMES:
+            value = settings.get(name)
+            if value is not None and shared.setdefault(name, value) != value:
+                raise InputError(
+                    f"'{target}': expected {name} {shared[name]} as of the other frames, got "
+                    f"{value}; give it as an option, or fit the frames one by one"
+                )
+    return shared
+
+
+def sources_of(
+    path: str, number: int, sidecar: Mapping[str, Any], files: Mapping[str, str]
+) -> dict[str, str]:
+    """Mask, scene and background of a frame: those of the options ``files``, in which {stem} is the
+    frame's name and {number} its place, else those of the file beside it."""
+    found = {name: sidecar[name] for name in OF_EACH_FRAME if name in sidecar}
+    for one, other in (("mask", "scene"), ("scene", "mask")):
+        if one in files:
+            found.pop(other, None)
+    for name, pattern in files.items():
+        stem = Path(path.rsplit("#")[0]).stem
+        found[name] = pattern.replace("{stem}", stem).replace("{number}", str(number))
+    return found
 
 
 def common_name(targets: tuple[str, ...]) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
 import time
 from typing import Any
 
@@ -10,10 +12,14 @@ import click
 SPINNER_DELAY = 1.0
 """Seconds after which a spinner is shown: shorter work needs none."""
 
+QUIET_SECONDS = 2.0
+"""Seconds after which a line is printed where stderr is no terminal."""
+
 
 class Progress:
     """Stages of the work on stderr. On a terminal they are a spinner, once a second has passed,
-    unless ``quiet``. With ``verbose`` each is a line, wherever stderr goes."""
+    unless ``quiet``. With ``verbose`` each is a line, wherever stderr goes. Elsewhere a line now
+    and then says what long work is doing."""
 
     # Python drops an interrupt that comes while it runs a finaliser: the next stage checks again.
     interrupted = False
@@ -24,13 +30,16 @@ class Progress:
         self.console = Console(stderr=True)
         self.spins = not quiet and not verbose and self.console.is_terminal
         self.verbose = verbose and not quiet
+        self.plain = not quiet and not verbose and not self.spins
         self.began = time.perf_counter()
+        self.stage, self.ended = "", threading.Event()
         self.status: Any = None
 
     def __call__(self, stage: str) -> None:
         if Progress.interrupted:
             raise KeyboardInterrupt
         elapsed = time.perf_counter() - self.began
+        self.stage = stage
         if self.verbose:
             click.echo(f"godfit: {elapsed:6.2f} s  {stage}", err=True)
         elif self.spins and self.status is not None:
@@ -39,10 +48,23 @@ class Progress:
             self.status = self.console.status(stage)
             self.status.start()
 
+    def _speak(self) -> None:
+        """Print the stage whenever it is another one after QUIET_SECONDS."""
+        said = ""
+        while not self.ended.wait(QUIET_SECONDS):
+            if self.stage != said:
+                said = self.stage
+                # A pipe that is closed ends no fit.
+                with contextlib.suppress(OSError, ValueError):
+                    click.echo(f"godfit: {said}", err=True)
+
     def __enter__(self) -> Progress:
+        if self.plain:
+            threading.Thread(target=self._speak, daemon=True).start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.ended.set()
         if self.status is not None:
             self.status.stop()
 

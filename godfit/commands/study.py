@@ -30,6 +30,13 @@ PROGRAM_SETTINGS = {
 }  # fmt: skip
 """Options that change which programs are compiled."""
 
+FOREIGN = {
+    "mitchell": ("canvas", "rays"),
+    "hoffman-preetham": ("canvas", "rays", "shader", "lights"),
+    "flatland": ("mask", "scene", "background", "shader", "samples", "lights", "pass_scale"),
+}
+"""Settings of the file beside a target that a model does not have."""
+
 
 class Study(NamedTuple):
     """A target, (h, w) which of its pixels are fitted, the options of its fit, and the result's
@@ -75,6 +82,7 @@ def opened(
         if given[one] is not None and given[other] is None:
             # An option of the command line replaces the one in the file beside the target.
             options.pop(other, None)
+    drop_foreign(options, given)
     if "mask" in options and "scene" in options:
         raise click.UsageError("expected --mask or --scene, got both; a scene draws its own mask")
     if "mask" not in options and "scene" not in options and not bare:
@@ -84,6 +92,16 @@ def opened(
         )
     valid = valid_pixels(ignore, image.values.shape[:2])
     return Study(without_holes(image, valid), valid, options, folder)
+
+
+def drop_foreign(options: dict[str, Any], given: Mapping[str, Any]) -> None:
+    """Drop the settings of the file beside the target that the model of the command line does not
+    have, and the model of the file where options of another one were given."""
+    if given.get("model") is None and any(given.get(n) is not None for n in ("shader", "lights")):
+        options.pop("model", None)
+    for name in FOREIGN.get(options.get("model", ""), ()):
+        if given.get(name) is None:
+            options.pop(name, None)
 
 
 @contextmanager

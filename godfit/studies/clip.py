@@ -1,10 +1,10 @@
 """Several frames of one clip: they share the shader's parameters; light and occluders are each
 frame's own.
 
-Frames are fitted one after another, each alone, as bare pictures. Each search also starts near the
-shader of the frame with the least noise so far. Only a frame's estimate and covariance are kept, so
-that memory does not grow with their number. The shader's parameters are pooled one by one, see
-``pooling.py``.
+Frames are fitted one after another, each alone: with its mask or scene, or as a bare picture, whose
+search also starts near the shader of the frame with the least noise so far. Only a frame's estimate
+and covariance are kept, so that memory does not grow with their number. The shader's parameters are
+pooled one by one, see ``pooling.py``.
 """
 
 from __future__ import annotations
@@ -12,15 +12,17 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
 from godfit.blind import unaided
 from godfit.errors import InputError
+from godfit.fitting import found_for
 from godfit.inference.estimates import Solution, estimates
 from godfit.inference.fitted import Found
+from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.problem import given_and_held
 from godfit.io.filters import shrink
 from godfit.io.image import Image
@@ -30,12 +32,10 @@ from godfit.models.build import mitchell_template
 from godfit.models.disc_light import DiscLight
 from godfit.report.clip import ClipResult, Frame
 from godfit.report.verdict import spread
+from godfit.request import Request
 from godfit.runtime.program_cache import cached_jit
 from godfit.scattering.parameters import SCATTERING
 from godfit.studies.pooling import Pool, pooled
-
-if TYPE_CHECKING:
-    pass
 
 SHARED_COUNT = len(SCATTERING)
 """Parameters that all frames share: exposure, decay, density and weight."""
@@ -49,6 +49,19 @@ LEFT_OUT = "{} of {} frames are left out, as they do not agree with the others"
 """Warning with the number of frames left out, and of all."""
 SCATTERED = "frames scatter {:.2g} times as much as their errors; errors are widened by that"
 """Warning with the ratio."""
+
+
+UNLIKE_NOISE = "its residual is not noise"
+"""Message of a frame with a mask that its shader does not explain."""
+
+
+class Shot(NamedTuple):
+    """A frame and what it comes with, each as in ``godfit.fit``."""
+
+    image: Source
+    mask: Source | None = None
+    scene: Any = None
+    background: Source | None = None
 
 
 class _Answer(NamedTuple):
@@ -72,7 +85,7 @@ class _Answer(NamedTuple):
 
 
 def fit_clip(
-    frames: Iterable[Source],
+    frames: Iterable[Source | Shot],
     *,
     shader: str | None = None,
     samples: int | None = None,
@@ -83,11 +96,11 @@ def fit_clip(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> ClipResult:
-    """Fit one shader, and a light for each frame, to several finished pictures.
+    """Fit one shader, and a light for each frame, to several pictures.
 
-    **Arguments:** as of ``godfit.fit``. `frames` are taken one at a time, so that a generator will
-    do; `valid` (h, w) holds for all of them; a `pass_scale` that is not given is estimated from
-    each frame.
+    **Arguments:** as of ``godfit.fit``. `frames` are images, or `Shot`s where they come with a mask
+    or a scene. They are taken one at a time, so that a generator will do. `valid` (h, w) holds for
+    all of them. A `pass_scale` that is not given is estimated from each bare frame.
 
     **Returns:** a `ClipResult`. Raises `InputError`, a ValueError of one line, for frames that
     cannot be read, and for fewer than two.
@@ -102,14 +115,28 @@ def fit_clip(
     with jax.enable_x64(False):
         held = given_and_held(shading, fix, start)[1]
         for source in frames:
-            image = read_source(source, "none")
+            shot = source if isinstance(source, Shot) else Shot(source)
+            image = read_source(shot.image, "none")
             count = len(answers) + 1
             name = image.path or f"frame {count}"
             _check_size(name, image, valid)
-            found, messages = unaided.found_in(
-                image, shading, valid, None, pass_scale, fix, start, seed,
-                lambda text, at=count: say(f"frame {at}: {text}"), _so_far(answers),
-            )  # fmt: skip
+
+            def report(text: str, at: int = count) -> None:
+                say(f"frame {at}: {text}")
+
+            if shot.mask is None and shot.scene is None:
+                found, messages = unaided.found_in(
+                    image, shading, valid, None, pass_scale, fix, start, seed, report,
+                    _so_far(answers),
+                )  # fmt: skip
+            else:
+                request = Request(
+                    target=image, mask=shot.mask, scene=shot.scene, background=shot.background,
+                    shader=shading.shader, samples=int(shading.samples), pass_scale=pass_scale,
+                    fix=fix, start=start, valid=valid, transfer=image.transfer, seed=seed,
+                    progress=report,
+                ).checked()  # fmt: skip
+                found, messages, _ = found_for(request)
             notes += [f"{name}: {note}" for note in (*image.notes, *messages)]
             warnings += found.remarks
             answers.append(_answer(name, found))
@@ -140,7 +167,12 @@ def _small(image: Image) -> np.ndarray:
 
 
 def _answer(name: str, found: Found) -> _Answer:
-    assert isinstance(found.problem.model, DiscLight)
+    if not isinstance(found.problem.model, DiscLight):
+        z = np.asarray(found.settled.coordinates, np.float64)
+        known = spread(found)
+        trusted = found.settled.sigma <= WITHIN_ROUNDING or known.residual_misfit.like_noise
+        message = found.objection or ("" if trusted else UNLIKE_NOISE)
+        return _Answer(name, z, known.covariance, list(found.opened), message, found.settled.sigma)
     z, held = found.settled.coordinates, np.asarray(found.problem.held, np.float32)
     at, slopes = (
         np.asarray(a, np.float64) for a in _shader_coordinates(found.problem.model, z, held)

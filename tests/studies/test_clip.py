@@ -7,11 +7,13 @@ import jax
 import numpy as np
 import pytest
 
-from godfit.io.image import read_image
+from godfit.__main__ import main
+from godfit.io.image import read_image, write_image
 from godfit.models.coordinates import GAIN, VEIL
 from godfit.models.disc_light import DiscLight
 from godfit.models.mitchell import Mitchell
 from godfit.studies import clip
+from tests.support import known_truth
 
 
 def truly():
@@ -149,3 +151,64 @@ def test_the_record_and_the_figure(tmp_path):
     assert record["frames"][1]["light_x"]["value"] == pytest.approx(0.45, abs=0.02)
     assert read_image(tmp_path / "fit.png").values.std() > 0.1
     assert "shot_2.png" in result.summary()
+
+
+LIGHTS = ((0.42, 0.6), (0.5, 0.55), (0.6, 0.64), (0.68, 0.5))
+
+
+@pytest.fixture(scope="module")
+def shots():
+    """(target, mask) bytes of frames with one shader, each with its own light and occluders."""
+    return [known_truth.picture(20 + i, light_x=x, light_y=y) for i, (x, y) in enumerate(LIGHTS)]
+
+
+def check_shared_truth(params, frames):
+    for name in ("exposure", "decay", "density", "weight"):
+        value, error = params[name]
+        assert abs(value - known_truth.TRUTH[name]) < 5 * error, name
+        assert error < 0.01 * known_truth.TRUTH[name], name
+    for (x, y), found in zip(LIGHTS, frames, strict=True):
+        assert np.abs(np.array(found) - (x, y)).max() < 3e-4
+
+
+def test_frames_with_masks_share_a_shader(shots):
+    result = clip.fit_clip(
+        [clip.Shot(target, mask) for target, mask in shots],
+        shader="dawntime",
+        samples=known_truth.SAMPLES,
+    )
+    assert result.converged, result.message
+    params = {name: (e.value, e.stderr) for name, e in result.params.items()}
+    check_shared_truth(params, [frame.light for frame in result.frames])
+    errors = [frame.params["density"].stderr for frame in result.frames]
+    assert params["density"][1] < min(errors)
+
+
+@pytest.mark.parametrize("by", ["side files", "a pattern"])
+def test_a_clip_with_masks_through_the_command_line(shots, tmp_path, capsys, by):
+    (tmp_path / "masks").mkdir()
+    for i, (target, mask) in enumerate(shots):
+        write_image(tmp_path / f"shot_{i}.png", target / 255)
+        write_image(tmp_path / "masks" / f"shot_{i}.png", mask / 255)
+        if by == "side files":
+            (tmp_path / f"shot_{i}.toml").write_text(
+                f'mask = "masks/shot_{i}.png"\n[scattering]\nshader = "dawntime"\n'
+                f"samples = {known_truth.SAMPLES}\n"
+            )
+    options = ["--shader", "dawntime", "--samples", str(known_truth.SAMPLES)]
+    options += ["--mask", str(tmp_path / "masks" / "{stem}.png")]
+    names = [str(tmp_path / f"shot_{i}.png") for i in range(len(shots))]
+    status = main(["fit", *names, "--json", "-q", *(options if by == "a pattern" else [])])
+    record = json.loads(capsys.readouterr().out)
+    assert status == 0
+    params = {name: (e["value"], e["stderr"]) for name, e in record["params"].items()}
+    frames = [(f["light_x"]["value"], f["light_y"]["value"]) for f in record["frames"]]
+    check_shared_truth(params, frames)
+
+
+def test_frames_of_several_shaders_are_no_clip(tmp_path, capsys):
+    for i, shader in enumerate(("dawntime", "vesper")):
+        write_image(tmp_path / f"shot_{i}.png", np.full((8, 8), 0.5))
+        (tmp_path / f"shot_{i}.toml").write_text(f'[scattering]\nshader = "{shader}"\n')
+    assert main(["fit", str(tmp_path / "shot_0.png"), str(tmp_path / "shot_1.png")]) == 1
+    assert "expected shader dawntime as of the other frames, got vesper" in capsys.readouterr().err
