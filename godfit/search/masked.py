@@ -17,7 +17,7 @@ from godfit.inference.strategy import (
 )
 from godfit.models.base import AbstractModel
 from godfit.models.mitchell import Mitchell
-from godfit.search import density_minima, multigrid, multistart
+from godfit.search import beyond_light, density_minima, multigrid, multistart
 
 RETRIED = 3
 """Starts from which a doubtful fit is tried once more, each alone."""
@@ -44,6 +44,7 @@ def search_mask(problem: Problem, given: dict[str, float], effort: Effort) -> Fo
     model, picture = problem.model, problem.picture
     any_free = problem.free.any()
     effort.report("screening")
+    whole_range, problem = problem, beyond_light.up_to_light(problem, given)
     begun = starting_points(problem, given)
     candidates = [begun[0]]
     if any_free:
@@ -51,6 +52,9 @@ def search_mask(problem: Problem, given: dict[str, float], effort: Effort) -> Fo
         candidates = [climbed.coordinates]
     if any_free and model.banded:
         candidates = density_minima.on_subset(problem, candidates[0], effort.report)
+        if beyond_light.may_lie_beyond(candidates, problem):
+            problem = whole_range
+            candidates = beyond_light.searched_beyond(problem, candidates[0], effort.report)
     whole = picture.observe(pixels_used(picture, problem.seed, effort.max_values))
     effort.report(f"all {len(whole.pixels):,} pixels")
     settled, at, counted = density_minima.likeliest(problem, candidates, whole)

@@ -28,6 +28,7 @@ from godfit.models.mitchell import Mitchell
 from godfit.runtime.device import on_device
 from godfit.runtime.parallel import map_halves
 from godfit.runtime.program_cache import cached_jit
+from godfit.scattering.parameters import density_reach
 from godfit.scattering.radial.nearest import GRID_DENSITIES, RAY_STEPS, read_rays
 
 SCREENING_SIZE = 64
@@ -144,9 +145,10 @@ def mitchell_starts(
             return _box_rays(on_device(mask), on_device(spots), on_device(at), model)
     else:
         shapes = _shapes(given, model.samples)
-        middles = (np.arange(RAY_STEPS) + 0.5) / RAY_STEPS
+        steps = round(RAY_STEPS * density_reach(float(shapes[:, 1].max())))
+        middles = (np.arange(steps) + 0.5) / RAY_STEPS
         # The last step of a ray may be covered in part.
-        part = np.clip(shapes[:, 1:] * RAY_STEPS - np.arange(RAY_STEPS), 0, 1)
+        part = np.clip(shapes[:, 1:] * RAY_STEPS - np.arange(steps), 0, 1)
         along = (np.exp(-shapes[:, :1] * middles) * part / RAY_STEPS).astype(np.float32)
         scale = shader.gain
         own = ndimage.map_coordinates(mask, at[:, ::-1].T, order=1, mode="nearest")
@@ -154,7 +156,7 @@ def mitchell_starts(
         fine = ndimage.zoom(mask, 2, order=1, mode="nearest", grid_mode=True)
 
         def rays_to(spots):
-            return read_rays(on_device(fine), on_device(spots), on_device(at))
+            return read_rays(on_device(fine), on_device(spots), on_device(at), steps)
 
     view = _View(own, goal, weight)
     groups = np.arange(len(places))[:, None]

@@ -56,6 +56,15 @@ def test_jvp_is_that_of_the_reference(shader, light):
 
 
 @pytest.mark.parametrize("light", oracle.LIGHTS.values(), ids=oracle.LIGHTS)
+def test_jvp_beyond_the_light(light):
+    z = vector(light, (0.13, 0.93, 1.7391, 0.6))
+    for at in (None, AT):
+        expected = jacobian(z, method="reference", at=at)
+        for method in ("pairs", "strips"):
+            agree(jacobian(z, method=method, at=at), expected, 1e-10)
+
+
+@pytest.mark.parametrize("light", oracle.LIGHTS.values(), ids=oracle.LIGHTS)
 @pytest.mark.parametrize("method", ["pairs", "strips"])
 def test_jvp_at_points(light, method):
     z = vector(light)
@@ -136,6 +145,7 @@ EDGES = {
     "decay 1": (0.13, 1.0, 0.74, 0.6),
     "density 0": (0.13, 0.93, 0.0, 0.6),
     "density 1": (0.13, 0.93, 1.0, 0.6),
+    "density 2": (0.13, 0.93, 2.0, 0.6),
     "weight 0": (0.13, 0.93, 0.74, 0.0),
     "exposure 0": (0.0, 0.93, 0.74, 0.6),
 }

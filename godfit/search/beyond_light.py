@@ -1,0 +1,50 @@
+"""Densities above 1, whose last taps lie beyond the light.
+
+Most shaders end their rays at the light or before it. So a search begins with densities up to 1, as
+if there were no others, and goes on above 1 only where what it found lies close to that end: the
+taps beyond the light mirror the mask, and no shorter ray resembles that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from godfit.inference.problem import Problem
+from godfit.inference.strategy import Report
+from godfit.scattering.parameters import LIGHT_DENSITY
+from godfit.search import density_minima, multigrid
+
+CLOSE_TO_LIGHT = 0.05
+"""Distance of a density from 1 at which the right one may lie beyond: a few bands."""
+FARTHER_DENSITIES = (1.1, 1.3, 1.6, 1.9)
+"""Densities above 1 that a search starts from."""
+
+
+def up_to_light(problem: Problem, given: Mapping[str, float]) -> Problem:
+    """The problem with densities up to 1; the whole range where a density is given beyond."""
+    if given.get("density", 0.0) > LIGHT_DENSITY:
+        return problem
+    return problem.up_to("density", LIGHT_DENSITY)
+
+
+def may_lie_beyond(candidates: list[np.ndarray], problem: Problem) -> bool:
+    """Whether one of the ``candidates`` (p,) is close to the end of a range up to 1."""
+    if "density" not in problem.most or not problem.is_free("density"):
+        return False
+    along = problem.index("density")
+    return any(z[along] > LIGHT_DENSITY - CLOSE_TO_LIGHT for z in candidates)
+
+
+def searched_beyond(problem: Problem, found: np.ndarray, report: Report) -> list[np.ndarray]:
+    """Candidates in the whole range of densities, from ``found`` (p,), which is in that up to 1."""
+    along = problem.index("density")
+    begun = [found]
+    for density in FARTHER_DENSITIES:
+        start = found.copy()
+        start[along] = density
+        begun.append(start)
+    report("densities above 1")
+    climbed = multigrid.climb(problem.small, begun, report)
+    return density_minima.on_subset(problem, climbed.coordinates, report)
