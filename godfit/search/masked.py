@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from godfit.inference import indirect_inference
 from godfit.inference.fitted import Found
 from godfit.inference.information import evidence, undetermined
@@ -54,13 +56,25 @@ def search_mask(problem: Problem, given: dict[str, float], effort: Effort) -> Fo
         candidates = density_minima.on_subset(problem, candidates[0], effort.report)
         if beyond_light.may_lie_beyond(candidates, problem):
             problem = whole_range
-            candidates = beyond_light.searched_beyond(problem, candidates[0], effort.report)
+            candidates = beyond_light.searched(problem, candidates[0], effort.report)
     whole = picture.observe(pixels_used(picture, problem.seed, effort.max_values))
     effort.report(f"all {len(whole.pixels):,} pixels")
-    settled, at, counted = density_minima.likeliest(problem, candidates, whole)
-    at = at.thinned(picture.repeats)
-    found = Found(problem, counted, settled, at, inquire=effort.inquire)
-    if effort.inquire and any_free and model.banded and multistart.doubtful(found):
+
+    def likeliest(problem: Problem, candidates: list[np.ndarray]) -> Found:
+        settled, at, counted = density_minima.likeliest(problem, candidates, whole)
+        at = at.thinned(picture.repeats)
+        return Found(problem, counted, settled, at, inquire=effort.inquire)
+
+    found = likeliest(problem, candidates)
+    doubted = effort.inquire and any_free and model.banded
+    if doubted and multistart.doubtful(found):
+        farther = beyond_light.screened(
+            whole_range, found.settled.coordinates, given, effort.report
+        )
+        # Numbers of a fit that is wrong either way stay as they are.
+        other = likeliest(whole_range, farther) if farther else found
+        found = found if multistart.doubtful(other) else other
+    if doubted and multistart.doubtful(found):
         found = multistart.again(found, begun[:RETRIED], effort.report)
         effort.report("mask or transfer interpreted otherwise")
 

@@ -55,7 +55,8 @@ def test_jvp_is_that_of_the_reference(shader, light):
     agree(jacobian(z, shader, "strips"), expected, 1e-10)
 
 
-@pytest.mark.parametrize("light", oracle.LIGHTS.values(), ids=oracle.LIGHTS)
+# No light in a row of pixels: the taps of that row would be on a texel line, where slopes jump.
+@pytest.mark.parametrize("light", [(0.37, 0.62), (0.0, 0.31), (-0.6, 1.7), (3.0, -2.0)])
 def test_jvp_beyond_the_light(light):
     z = vector(light, (0.13, 0.93, 1.7391, 0.6))
     for at in (None, AT):
