@@ -12,6 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from godfit.inference.fitted import Found
 from godfit.inference.problem import SEARCH_PIXELS, Problem
 from godfit.inference.settle import settle
 from godfit.inference.strategy import Report, starts
@@ -21,6 +22,9 @@ from godfit.search.multistart import REMEDIED
 
 CLOSE_TO_LIGHT = 0.05
 """Distance of a density from 1 at which the right one may lie beyond: a few bands."""
+BARELY = 2.0
+"""Standard errors of a density above 1 within which it is taken to be 1, where sliders end and the
+taps reach the light: a value that shaders ship, unlike its neighbours."""
 FARTHER_DENSITIES = (1.1, 1.3, 1.6, 1.9)
 """Densities above 1 that a search starts from."""
 
@@ -38,6 +42,16 @@ def may_lie_beyond(candidates: list[np.ndarray], problem: Problem) -> bool:
         return False
     along = problem.index("density")
     return any(z[along] > LIGHT_DENSITY - CLOSE_TO_LIGHT for z in candidates)
+
+
+def barely_beyond(found: Found) -> bool:
+    """Whether the density is above 1 by no more than BARELY of its errors."""
+    if not found.problem.is_free("density"):
+        return False
+    along = found.problem.index("density")
+    variance = found.evidence.covariance(found.problem.free)[along, along]
+    beyond = found.settled.coordinates[along] - LIGHT_DENSITY
+    return bool(0 < beyond <= BARELY * np.sqrt(variance))
 
 
 def searched(problem: Problem, found: np.ndarray, report: Report) -> list[np.ndarray]:

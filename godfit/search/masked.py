@@ -66,6 +66,8 @@ def search_mask(problem: Problem, given: dict[str, float], effort: Effort) -> Fo
         return Found(problem, counted, settled, at, inquire=effort.inquire)
 
     found = likeliest(problem, candidates)
+    if beyond_light.barely_beyond(found):
+        found = likeliest(beyond_light.up_to_light(problem, {}), [found.settled.coordinates])
     doubted = effort.inquire and any_free and model.banded
     if doubted and multistart.doubtful(found):
         farther = beyond_light.screened(
