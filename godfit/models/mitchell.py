@@ -153,7 +153,7 @@ class Mitchell(AbstractModel):
         end = self.convention.density_slider
         if "density" not in free or end is None or abs(float(self.density) - end) > SLIDER_STEP / 2:
             return ()
-        return (f"density is {end:g}, where the slider of {self.shader} ends",)
+        return (f"density is {end:.2f}, where the slider of {self.shader} ends",)
 
     @property
     def taps(self) -> tuple[Taps, ...]:

@@ -26,7 +26,9 @@ BARELY = 2.0
 """Standard errors of a density above 1 within which it is taken to be 1, where sliders end and the
 taps reach the light: a value that shaders ship, unlike its neighbours."""
 FARTHER_DENSITIES = (1.1, 1.3, 1.6, 1.9)
-"""Densities above 1 that a search starts from."""
+"""Densities above 1 that are screened."""
+STARTS_OF_A_DENSITY = 2
+"""Starts that go on from each of these: the best light may be another one at each."""
 
 
 def up_to_light(problem: Problem, given: Mapping[str, float]) -> Problem:
@@ -54,38 +56,37 @@ def barely_beyond(found: Found) -> bool:
     return bool(0 < beyond <= BARELY * np.sqrt(variance))
 
 
-def searched(problem: Problem, found: np.ndarray, report: Report) -> list[np.ndarray]:
-    """Candidates in the whole range of densities, from ``found`` (p,), which is in that up to 1."""
-    along = problem.index("density")
-    begun = [found]
-    for density in FARTHER_DENSITIES:
-        start = found.copy()
-        start[along] = density
-        begun.append(start)
+def searched(
+    problem: Problem, found: np.ndarray, given: Mapping[str, float], report: Report
+) -> list[np.ndarray]:
+    """Candidates in the whole range of densities, where those up to 1 lead to ``found`` (p,)."""
     report("densities above 1")
-    climbed = multigrid.climb(problem.small, begun, report)
+    climbed = multigrid.climb(problem.small, [found, *_screened(problem, given)], report)
     return density_minima.on_subset(problem, climbed.coordinates, report)
 
 
-def screened(
+def searched_anew(
     problem: Problem, found: np.ndarray, given: Mapping[str, float], report: Report
 ) -> list[np.ndarray]:
-    """Candidates in the whole range of densities from a screening above 1; none where they leave
-    more than a share of REMEDIED of the noise that ``found`` (p,) leaves."""
+    """Candidates above 1, wherever ``found`` (p,) is; none where their residual has more than a
+    share of REMEDIED of its noise."""
     if not problem.is_free("density"):
         return []
     report("densities above 1")
-    small = problem.picture.small
-    begun = [
+    climbed = multigrid.climb(problem.small, _screened(problem, given), report).coordinates
+    observation = problem.observe(SEARCH_PIXELS)
+    before, after = (settle(z, problem, observation)[0].sigma for z in (found, climbed))
+    return density_minima.on_subset(problem, climbed, report) if after < REMEDIED * before else []
+
+
+def _screened(problem: Problem, given: Mapping[str, float]) -> list[np.ndarray]:
+    """The best starts (p,) at each of a few densities above 1: what suits densities up to 1 best
+    may have another attenuation or light."""
+    model, small, seed = problem.model, problem.picture.small, problem.seed
+    return [
         start
         for density in FARTHER_DENSITIES
         for start in starts(
-            problem.model, small, {**given, "density": density}, keep=2, seed=problem.seed
+            model, small, {**given, "density": density}, keep=STARTS_OF_A_DENSITY, seed=seed
         )
     ]
-    climbed = multigrid.climb(problem.small, begun, report)
-    observation = problem.observe(SEARCH_PIXELS)
-    own, other = (settle(z, problem, observation)[0].sigma for z in (found, climbed.coordinates))
-    if other > REMEDIED * own:
-        return []
-    return density_minima.on_subset(problem, climbed.coordinates, report)

@@ -67,7 +67,7 @@ def settled_edges(
     z = _sharp(problem, start)
     if beyond_light.may_lie_beyond([z], problem):
         problem = whole_range
-        start = beyond_light.searched(problem, z, lambda text: None)[0]
+        start = beyond_light.searched(problem, z, given, lambda text: None)[0]
         z = _sharp(problem, start)
     smooth = problem.replaced(picture=dataclasses.replace(picture, mask=drawn_mask(scene, True)))
     if scene.antialias is None:

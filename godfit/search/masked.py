@@ -56,7 +56,7 @@ def search_mask(problem: Problem, given: dict[str, float], effort: Effort) -> Fo
         candidates = density_minima.on_subset(problem, candidates[0], effort.report)
         if beyond_light.may_lie_beyond(candidates, problem):
             problem = whole_range
-            candidates = beyond_light.searched(problem, candidates[0], effort.report)
+            candidates = beyond_light.searched(problem, candidates[0], given, effort.report)
     whole = picture.observe(pixels_used(picture, problem.seed, effort.max_values))
     effort.report(f"all {len(whole.pixels):,} pixels")
 
@@ -70,7 +70,7 @@ def search_mask(problem: Problem, given: dict[str, float], effort: Effort) -> Fo
         found = likeliest(beyond_light.up_to_light(problem, {}), [found.settled.coordinates])
     doubted = effort.inquire and any_free and model.banded
     if doubted and multistart.doubtful(found):
-        farther = beyond_light.screened(
+        farther = beyond_light.searched_anew(
             whole_range, found.settled.coordinates, given, effort.report
         )
         # Numbers of a fit that is wrong either way stay as they are.
