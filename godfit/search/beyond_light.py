@@ -60,6 +60,10 @@ def searched(
     problem: Problem, found: np.ndarray, given: Mapping[str, float], report: Report
 ) -> list[np.ndarray]:
     """Candidates in the whole range of densities, where those up to 1 lead to ``found`` (p,)."""
+    settled, _ = settle(found, problem, problem.observe(SEARCH_PIXELS))
+    if settled.sigma < density_minima.ROUNDING_ONLY:
+        # All is explained, by a density up to 1 or just above: nothing is left to search for.
+        return [settled.coordinates]
     report("densities above 1")
     climbed = multigrid.climb(problem.small, [found, *_screened(problem, given)], report)
     return density_minima.on_subset(problem, climbed.coordinates, report)

@@ -193,11 +193,18 @@ def _with_given(model: Mitchell, start: np.ndarray, given: dict[str, float]) -> 
     if not given:
         return start
     held = np.array([given.get(name, np.nan) for name in model.parameters], np.float32)
+    return np.asarray(_coordinates_with(model, jnp.asarray(start), jnp.asarray(held)), np.float32)
+
+
+@cached_jit
+def _coordinates_with(
+    model: Mitchell, start: Float[Array, " p"], held: Float[Array, " p"]
+) -> Float[Array, " p"]:
     # The coordinates of decay and weight also depend on density and exposure. So the given values
     # are put in as parameters, and the coordinates are computed from these.
-    at = model.moved(jnp.asarray(start), held)
+    at = model.moved(start, held)
     decay = jnp.maximum(at.decay, 1e-6)
-    return np.asarray(eqx.tree_at(lambda m: m.decay, at, decay).coordinates(), np.float32)
+    return eqx.tree_at(lambda m: m.decay, at, decay).coordinates()
 
 
 def _in_order(group: np.ndarray, places: np.ndarray, given_lights: tuple[int, ...]) -> list[int]:
