@@ -73,7 +73,7 @@ def test_decay_on_its_bound_and_density_at_the_light():
     result = fit(*picture(5, **changes))
     assert result.converged
     assert not result.params["density"].at_bound
-    assert [note for note in result.notes if "density is 1.00, where the slider" in note]
+    assert [note for note in result.notes if "density is 1, where the slider" in note]
     decay = result.params["decay"]
     assert decay.stderr is not None
     assert decay.at_bound or 1 - decay.value < 4 * decay.stderr

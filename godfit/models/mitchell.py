@@ -35,8 +35,9 @@ MIN_RESAMPLED_DENSITY = 0.25
 """Least density of a model with another number of samples, as a share of the old density."""
 DENSITY_TOLERANCE = 1e-9
 """Absolute error of that density."""
-SLIDER_STEP = 0.01
-"""Step of the published sliders of density: nearer to its end a density is that end."""
+AT_SLIDER_END = 1e-3
+"""Distance of a density from the end of a slider within which it is that end: a tenth of the step
+of the published ones."""
 TINY_DECAY = 1e-12
 """Least decay in the logarithm of ``resampled``: a decay of 0 has none."""
 TINY_SUM = 1e-30
@@ -151,9 +152,9 @@ class Mitchell(AbstractModel):
 
     def notes(self, free: Sequence[str]) -> tuple[str, ...]:
         end = self.convention.density_slider
-        if "density" not in free or end is None or abs(float(self.density) - end) > SLIDER_STEP / 2:
+        if "density" not in free or end is None or abs(float(self.density) - end) > AT_SLIDER_END:
             return ()
-        return (f"density is {end:.2f}, where the slider of {self.shader} ends",)
+        return (f"density is {end:g}, where the slider of {self.shader} ends",)
 
     @property
     def taps(self) -> tuple[Taps, ...]:
