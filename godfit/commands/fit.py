@@ -154,6 +154,10 @@ def start_lights(options: dict[str, Any], light: Lights, size: tuple[int, ...]) 
         return
     if "canvas" in options:
         raise click.UsageError(f"{light.flag}: expected --mask or --scene with it, got a canvas")
+    if options["free"]:
+        raise click.UsageError(
+            f"{light.flag}: expected no --free with it; the scene has the light then"
+        )
     starts, count = light.starts(size), len(light.places)
     for name in starts.keys() & options["start"].keys():
         raise click.UsageError(f"{light.flag}: expected no --start {name} with it; give either")

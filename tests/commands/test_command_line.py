@@ -356,6 +356,7 @@ def test_a_light_starts_a_fit_and_is_held_by_select(disc, capsys, monkeypatch, w
         ("fit", ["--light-px", "1"], "expected X,Y, got '1'"),
         ("fit", ["--light", "nan,1"], "expected two finite numbers U,V"),
         ("fit", ["--light", "1,2", "--start", "light_y=1"], "expected no --start light_y with it"),
+        ("fit", ["--light", "1,2", "--free", "light.position"], "expected no --free with it"),
         ("fit", ["--light", "1,2", "--light", "3,4", "--lights", "1"], "--light: expected at most"),
         ("select", ["--light-px", "1,2", "--light-px", "3,4"], "--light-px: expected one light"),
     ],
