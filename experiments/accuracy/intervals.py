@@ -4,11 +4,12 @@
                                              [--size PIXELS] [--posteriors N]
 
 Random masks and truths (`tests.support.random_targets.draw`, rendered in float64 by other code than
-the fit's), with decay or density at 1, their upper bound, and as they were drawn. Each is fitted
-without a hint, and the one parameter profiled. At a bound half of all estimates lie on it, and 2.5%
-of all intervals should miss it (Self & Liang, J. Am. Stat. Assoc. 82 (1987), 605): the answer is
-never above. Of the first few of each kind whose intervals end at no bound, NUTS draws the posterior
-(`pip install 'godfit[posterior]'`), and the widths and ends of both intervals are compared.
+the fit's), with decay at 1, its upper bound, with density at 1, where the taps reach the light, and
+as they were drawn. Each is fitted without a hint, and the one parameter profiled. At a bound half
+of all estimates lie on it, and 2.5% of all intervals should miss it (Self & Liang, J. Am. Stat.
+Assoc. 82 (1987), 605): the answer is never above. Of the first few of each kind whose intervals end
+at no bound, NUTS draws the posterior (`pip install 'godfit[posterior]'`), and the widths and ends
+of both intervals are compared.
 """
 
 from __future__ import annotations

@@ -6,7 +6,8 @@ from typing import Any
 
 import click
 
-from godfit.commands.options import PICTURE, RESULT, Run, light_position
+from godfit.commands.lights import Lights, with_light
+from godfit.commands.options import PICTURE, RESULT, Run
 from godfit.commands.study import (
     NOT_CONVERGED,
     command_line,
@@ -21,17 +22,17 @@ from godfit.commands.study import (
 @click.command()
 @click.argument("target")
 @PICTURE
-@click.option("--light", metavar="U,V", help="Position of the light. [default: the scene's]")
+@with_light("Position of the light. [default: the scene's]")
 @RESULT
-def compare(target: str, light: str | None, run: Run, **given: Any) -> int:
+def compare(target: str, light: Lights, run: Run, **given: Any) -> int:
     """Compare Mitchell's sum with Hoffman and Preetham's daylight on TARGET.
 
     Each model is fitted with the light free and, if its position is given, with the light held
     there. With --canvas the light in the plane is fitted as well. The table goes to stdout,
     compare.json and compare.png to x.godfit/. The exit status is 3 if no model converged.
     """
-    place = None if light is None else light_position(light)
     study = opened(target, given, run.output)
+    place = light.one(study.image.values.shape)
     study.options.pop("model", None)
     with working(run) as progress:
         from godfit.studies.compare import compare

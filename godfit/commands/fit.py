@@ -10,6 +10,7 @@ import click
 
 from godfit.commands import STARTED
 from godfit.commands.clip import fit_frames
+from godfit.commands.lights import Lights, with_light
 from godfit.commands.options import BRIGHT_PASS, PICTURE, RESULT, Run, assignments
 from godfit.commands.study import (
     NOT_CONVERGED,
@@ -38,7 +39,10 @@ if TYPE_CHECKING:
 @click.option(
     "--free", multiple=True, metavar="NAME", help="Fit this quantity of the scene as well."
 )
-@click.option("--lights", type=int, help="Number of lights. [default: 1]")
+@click.option("--lights", type=int, help="Number of lights. [default: 1, or as many as --light]")
+@with_light(
+    "Start the search of a light here, as --start light_x and light_y do; repeat for several."
+)
 @click.option(
     "--fix",
     multiple=True,
@@ -87,13 +91,15 @@ def fit(
     --canvas the sun, the sky and the exposure of light in the plane are fitted.
     """
     first, *more = target
+    light: Lights = given.pop("light")
     if more or is_video(first):
-        single = {"profile": profile, "posterior": posterior}
+        single = {"profile": profile, "posterior": posterior, light.option: light.places}
         return fit_frames(target, every or 1, given | single, run)
     if every is not None:
         raise click.UsageError("--every: expected several frames or a video with it, got a picture")
     study = opened(first, given, run.output, bare=True)
     keep_one_source(study.options, given)
+    start_lights(study.options, light, study.image.values.shape)
     if (profile or posterior) and not {"mask", "scene", "canvas"} & study.options.keys():
         wanted = f"--profile {profile[0]}" if profile else "--posterior"
         raise click.UsageError(f"{wanted}: expected --mask, --scene or --canvas with it, got none")
@@ -139,6 +145,28 @@ def with_intervals(
         progress("posterior")
         result = sampling.with_posterior(result, sampling.posterior(result, seed=seed))
     return result
+
+
+def start_lights(options: dict[str, Any], light: Lights, size: tuple[int, ...]) -> None:
+    """Add the positions of lights in a picture of ``size`` to the parameters that start at a value.
+    Raises UsageError where another option gives them too, or gives too few lights."""
+    if not light.places:
+        return
+    if "canvas" in options:
+        raise click.UsageError(f"{light.flag}: expected --mask or --scene with it, got a canvas")
+    if options["free"]:
+        raise click.UsageError(
+            f"{light.flag}: expected no --free with it; the scene has the light then"
+        )
+    starts, count = light.starts(size), len(light.places)
+    for name in starts.keys() & options["start"].keys():
+        raise click.UsageError(f"{light.flag}: expected no --start {name} with it; give either")
+    if options.get("lights", count) < count:
+        raise click.UsageError(
+            f"{light.flag}: expected at most {options['lights']}, as --lights has it, got {count}"
+        )
+    options["lights"] = options.get("lights", count)
+    options["start"] = options["start"] | starts
 
 
 def keep_one_source(options: dict[str, Any], given: Mapping[str, Any]) -> None:

@@ -147,25 +147,20 @@ def valid_pixels(ignore: tuple[str, ...], size: tuple[int, int]) -> np.ndarray |
     return valid
 
 
-def light_position(text: str) -> tuple[float, float]:
-    """``U,V`` as two numbers, a position on the screen."""
-    u, v = _numbers(text, "U,V", "--light")
-    return u, v
-
-
 def colour(text: str | None, option: str) -> tuple[float, ...] | None:
     """``R,G,B`` as three numbers; None stays None."""
-    return None if text is None else _numbers(text, "R,G,B", option)
+    return None if text is None else numbers(text, "R,G,B", option)
 
 
-def _numbers(text: str, form: str, option: str) -> tuple[float, ...]:
+def numbers(text: str, form: str, option: str) -> tuple[float, ...]:
+    """Numbers with commas between them, as many as ``form`` has names."""
     try:
-        numbers = tuple(float(number) for number in text.split(","))
+        found = tuple(float(number) for number in text.split(","))
     except ValueError:
-        numbers = ()
-    if len(numbers) != len(form.split(",")):
+        found = ()
+    if len(found) != len(form.split(",")):
         raise click.BadParameter(f"expected {form}, got '{text}'", param_hint=option)
-    return numbers
+    return found
 
 
 def image_size(text: str) -> tuple[int, int]:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from godfit.commands.options import SHADER, colour, image_size, light_position
+from godfit.commands.lights import Lights, with_light
+from godfit.commands.options import SHADER, colour, image_size
 from godfit.errors import InputError
 
 if TYPE_CHECKING:
@@ -136,9 +137,7 @@ def published_name(context: click.Context, option: click.Parameter, name: str | 
     metavar="mix|mean",
     help="Flatland: how. [default: mix with --published gi, else mean]",
 )
-@click.option(
-    "--light", multiple=True, metavar="U,V", help="Position of a light; repeat for several."
-)
+@with_light("Position of a light; repeat for several.")
 @click.option("--background", help="Ordinary pass to blend the light pass with.")
 @click.option("--size", metavar="WxH", help="Size of the image. [default: the mask's]")
 @click.option(
@@ -175,7 +174,6 @@ def render(mask: str, output: str, transfer: str, bits: str, **options: Any) -> 
         raise click.BadParameter(
             f"expected a number of levels, 0 or more, got {tolerance:g}", param_hint="--tolerance"
         )
-    options["light"] = [light_position(text) for text in options["light"]]
     for name in ("sun", "sky"):
         options[name] = colour(options[name], f"--{name}")
     # A flag that is not set was not given.
@@ -237,28 +235,28 @@ def on_screen(
         pass_scale = settings.pop("pass_scale", 1.0) if pass_scale == 1 else pass_scale
         transfer = settings.pop("transfer", "none") if transfer == "none" else transfer
     settings |= recorded
-    lights, kind = options["light"], options["model"] or settings.get("model", "mitchell")
+    light, kind = options["light"], options["model"] or settings.get("model", "mitchell")
     if kind != "volume":
-        count = 1 if kind == "mitchell" else max(len(lights), 1)
+        count = 1 if kind == "mitchell" else max(len(light.places), 1)
         check_model(kind, (), options["shader"], count, options["fov"], options["distance"])
     settings |= given_options(options, ("shader", "samples"))
     background = None
     if options["background"] is not None:
         background = read_image(options["background"], transfer=transfer).values
     draw = mitchell if kind == "mitchell" else daylight
-    picture = Picture(mask, scene, background, settings, lights, pass_scale)
+    picture = Picture(mask, scene, background, settings, light, pass_scale)
     return draw(picture, options), transfer
 
 
 class Picture(NamedTuple):
     """The inputs of a rendering: the file of the mask or the scene, the ``scene`` if it is one, the
-    ordinary pass, settings, and lights (u, v)."""
+    ordinary pass, settings, and positions of lights."""
 
     mask: str
     scene: Scene | None
     background: np.ndarray | None
     settings: dict[str, Any]
-    lights: list[tuple[float, float]]
+    light: Lights
     pass_scale: float
 
     def check_background(self, size: tuple[int, ...]) -> None:
@@ -286,7 +284,6 @@ def mitchell(picture: Picture, options: dict[str, Any]) -> np.ndarray:
     from godfit.scenes.view import drawn_mask
 
     scene, background = picture.scene, picture.background
-    model = mitchell_at(picture.settings, given_options(options, PARAMETER_OPTIONS), picture.lights)
     if scene is None:
         occlusion = read_image(picture.mask).values
     else:
@@ -294,6 +291,8 @@ def mitchell(picture: Picture, options: dict[str, Any]) -> np.ndarray:
     size = (occlusion if background is None else background).shape[:2]
     if options["size"]:
         size = image_size(options["size"])
+    lights = picture.light.uv(size)
+    model = mitchell_at(picture.settings, given_options(options, PARAMETER_OPTIONS), lights)
     picture.check_background(size)
     occlusion = shrink_mask(occlusion, picture.pass_scale)
     if not options["tolerance"]:
@@ -315,11 +314,17 @@ def daylight(picture: Picture, options: dict[str, Any]) -> np.ndarray:
     from godfit.scenes.view import as_sky_mask, drawn_mask
 
     scene, settings = picture.scene, dict(picture.settings)
-    if scene is not None:
-        # A fit records one typical distance; the scene has them all.
+    if scene is None:
+        sky = read_image(picture.mask).values
+        size = sky.shape[:2]
+    else:
+        # A volume needs no mask: it is drawn below. A fit records one typical distance; the scene
+        # has them all.
+        sky, size = None, scene.size
         settings.pop("distance", None)
     settings |= given_options(options, ("fov", "distance", "phase"))
-    model = daylight_at(settings, given_options(options, PARAMETER_OPTIONS), picture.lights, scene)
+    lights = picture.light.uv(size)
+    model = daylight_at(settings, given_options(options, PARAMETER_OPTIONS), lights, scene)
     if (options["model"] or settings.get("model")) == "volume":
         if scene is None:
             raise InputError("volume: expected a SCENE.toml, got an image; it has no depth")
@@ -329,7 +334,9 @@ def daylight(picture: Picture, options: dict[str, Any]) -> np.ndarray:
             steps=options["steps"] or 128, background=picture.background,
         )  # fmt: skip
         return np.clip(image, 0, 1)
-    sky = read_image(picture.mask).values if scene is None else drawn_mask(as_sky_mask(scene), True)
+    if sky is None:
+        assert scene is not None
+        sky = drawn_mask(as_sky_mask(scene), True)
     picture.check_background(sky.shape[:2])
     return render(model, sky, picture.background, (sky.shape[0], sky.shape[1]))
 

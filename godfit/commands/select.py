@@ -6,7 +6,8 @@ from typing import Any
 
 import click
 
-from godfit.commands.options import PICTURE, RESULT, Run, light_position
+from godfit.commands.lights import Lights, with_light
+from godfit.commands.options import PICTURE, RESULT, Run
 from godfit.commands.study import (
     NOT_CONVERGED,
     command_line,
@@ -21,20 +22,16 @@ from godfit.commands.study import (
 @click.command()
 @click.argument("target")
 @PICTURE
-@click.option(
-    "--light",
-    metavar="U,V",
-    help="Position of the light on rungs that hold it. [default: the scene's, or the middle]",
-)
+@with_light("Position of the light on rungs that hold it. [default: the scene's, or the middle]")
 @RESULT
-def select(target: str, light: str | None, run: Run, **given: Any) -> int:
+def select(target: str, light: Lights, run: Run, **given: Any) -> int:
     """Find the smallest model that explains TARGET, from a constant veil to two coloured lights.
 
     Rungs that do not fit the light hold it at --light. The table goes to stdout, select.json and
     select.png to x.godfit/. The exit status is 3 if no rung leaves only noise.
     """
-    place = None if light is None else light_position(light)
     study = opened(target, given, run.output)
+    place = light.one(study.image.values.shape)
     for name in ("model", "canvas", "rays"):
         study.options.pop(name, None)
     with working(run) as progress:

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import click
+
+LINE_WIDTH = 100
+"""Columns of a line: those of the formulas, the longest of which needs nearly as many."""
 
 
 @click.command()
@@ -11,9 +16,10 @@ def shaders() -> int:
     from godfit.scattering.taps import CONVENTIONS
 
     click.echo("M mask at the pixel, M_i at x - i Delta, Delta = (x - l) rho / n; B background")
+    click.echo("u to the right, v up as in GLSL; a light whose v runs down: --light-origin top")
     for shader in CONVENTIONS.values():
         defaults = ", ".join(f"{k} {v:g}" for k, v in shader.defaults.items()) or "none published"
         click.echo(f"\n{shader.name}\n  {shader.formula}\n  defaults: {defaults}")
-        if shader.remarks:
-            click.echo(f"  {shader.remarks}")
+        for line in textwrap.wrap(shader.remarks, LINE_WIDTH - 2):
+            click.echo(f"  {line}")
     return 0

@@ -31,8 +31,9 @@ class Problem:
 
     ``model`` gives the kind of model; its own parameters do not matter. ``free`` (p,) are the
     coordinates that may move, ``held`` (p,) the values of the parameters that may not, NaN where
-    free. ``seed`` is that of the choice of pixels. Coordinates and parameters have the same names
-    and order.
+    free. ``seed`` is that of the choice of pixels. ``most`` holds upper bounds, by name, that are
+    lower than the model's own: the range of a search. Coordinates and parameters have the same
+    names and order.
     """
 
     model: AbstractModel
@@ -40,6 +41,7 @@ class Problem:
     free: np.ndarray
     held: np.ndarray
     seed: int = 0
+    most: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     @functools.cached_property
     def names(self) -> list[str]:
@@ -50,7 +52,8 @@ class Problem:
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """(p,) lower and (p,) upper bounds of the coordinates, float32."""
         lower, upper = self.model.bounds()
-        return np.asarray(lower, np.float32), np.asarray(upper, np.float32)
+        ends = {**dict(zip(self.names, upper, strict=True)), **self.most}
+        return np.asarray(lower, np.float32), np.asarray(list(ends.values()), np.float32)
 
     @property
     def small(self) -> Problem:
@@ -74,6 +77,10 @@ class Problem:
         free, held = self.free.copy(), self.held.copy()
         free[self.index(name)], held[self.index(name)] = False, value
         return self.replaced(free=free, held=held)
+
+    def up_to(self, name: str, value: float) -> Problem:
+        """The problem with an upper bound on a coordinate; unchanged without that coordinate."""
+        return self.replaced(most={name: value}) if name in self.names else self
 
     def at(self, coordinates: np.ndarray) -> AbstractModel:
         """The model at ``coordinates`` (p,), with the held parameters where they are held."""

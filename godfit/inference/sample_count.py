@@ -19,6 +19,7 @@ from godfit.io.filters import grey
 from godfit.io.image import LEVELS
 from godfit.models.mitchell import Mitchell, resampled
 from godfit.runtime.parallel import cores, parallel_map
+from godfit.scattering.parameters import density_reach
 from godfit.scattering.radial.spacings_kernel import residual_squares
 
 SPACING_PIXELS = 128
@@ -117,8 +118,8 @@ def other_samples(model: Mitchell, picture: Picture, seed: int = 0) -> Mitchell 
 def _about(model: Mitchell, samples: int) -> list[Spacing]:
     """Spacings for a number of samples about the one whose rays end where the model's do: half a
     step beyond the last tap."""
-    drop = model.convention.drop
-    end = float(model.density) / model.samples * (model.samples - drop + 0.5)
+    drop, density = model.convention.drop, float(model.density)
+    end = density / model.samples * (model.samples - drop + 0.5)
     step = end / (samples - drop + 0.5)
-    steps = np.minimum(step * (1 + SPACING_OFFSETS / samples), 1 / samples)
+    steps = np.minimum(step * (1 + SPACING_OFFSETS / samples), density_reach(density) / samples)
     return [Spacing(samples, float(s)) for s in np.unique(steps)]

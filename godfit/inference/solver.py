@@ -191,7 +191,7 @@ def solve(
     """Minimise the deviance over the free coordinates from ``start`` (p,), at a noise of ``sigma``
     levels.
 
-    The solution lies inside the model's bounds. Far from the answer bounds can be switched off: a
+    The solution lies inside the problem's bounds. Far from the answer bounds can be switched off: a
     path may lead outside, where the sum is as smooth.
     """
     model, held = problem.model, problem.held
@@ -231,7 +231,7 @@ def solve_tangent(
     free = problem.free
     levels, slopes, lower_ends, upper_ends = (on_device(z) for z in (prediction, jacobian, lo, hi))
     values = levels, slopes, Intervals(lower_ends, upper_ends, foreign), np.float32(sigma)
-    bounds = [np.asarray(b) for b in problem.model.bounds()]
+    bounds = [np.asarray(b, np.float64) for b in problem.bounds]
     lower, upper = ((b - start) / scale for b in bounds)
     width = np.asarray(hi) - np.asarray(lo)
     rounding = width[np.isfinite(width)].max(initial=0) ** 2 / 12

@@ -8,6 +8,7 @@ linear in its coefficients. The light is white, or of one colour.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from abc import abstractmethod
 from typing import ClassVar, TypeVar
@@ -21,6 +22,7 @@ from jaxtyping import Array, Float, Int
 from godfit.models.background import CHANNEL_NAMES, DARKEST_BACKGROUND, TERM_POWERS, terms
 from godfit.models.base import FAINTEST, Vector
 from godfit.models.coordinates import (
+    DENSITY,
     EXPOSURE,
     FIRST_BACKGROUND,
     GAIN,
@@ -32,7 +34,12 @@ from godfit.models.coordinates import (
 from godfit.models.mitchell import Mitchell
 from godfit.models.shaded import AbstractShaded
 from godfit.models.tinted import TINT_PARAMETERS
-from godfit.scattering.parameters import SCATTERING, Parameter, light_parameters
+from godfit.scattering.parameters import (
+    LIGHT_DENSITY,
+    SCATTERING,
+    Parameter,
+    light_parameters,
+)
 from godfit.scattering.radial.derivatives import is_symbolic_zero
 from godfit.scattering.upsample import Texels, at_pixels
 
@@ -44,6 +51,12 @@ the veil's part of it over this."""
 DERIVATIVE_EDGE = 0.3
 """Least width of a disc's edge in derivatives, in texels. A harder edge lies between the texels'
 middles and has no derivative there, though the sum steps as it passes them."""
+
+BARE_SCATTERING = tuple(
+    dataclasses.replace(row, upper=LIGHT_DENSITY) if row.name == "density" else row
+    for row in SCATTERING
+)
+"""The scattering of a bare picture: its searches place no taps beyond the light."""
 
 
 class AbstractBarePicture(AbstractShaded):
@@ -121,7 +134,7 @@ class AbstractBarePicture(AbstractShaded):
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        rows = [*SCATTERING, *light_parameters(1), *self.shape_parameters]
+        rows = [*BARE_SCATTERING, *light_parameters(1), *self.shape_parameters]
         k, c = self.background.shape
         for i, j in TERM_POWERS[:k]:
             place = "x" * i + "y" * j
@@ -170,6 +183,7 @@ class AbstractBarePicture(AbstractShaded):
 
     def bounds(self) -> tuple[list[float], list[float]]:
         lower, upper = self.shading.bounds()
+        upper[DENSITY] = LIGHT_DENSITY
         shape_lower, shape_upper = self.shape_bounds()
         count, tint = self.background.size, self.tint.size
         lower = [*lower, *shape_lower, *[self.darkest] * count, *[0.0] * tint]

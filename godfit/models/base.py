@@ -7,6 +7,7 @@ evaluates the image; it names no model.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import ClassVar
 
 import equinox as eqx
@@ -106,6 +107,10 @@ class AbstractModel(eqx.Module):
         texels: Texels | None = None,
     ) -> Float[Array, "..."]:
         """The image; see ``Mitchell.__call__``."""
+
+    def notes(self, free: Sequence[str]) -> tuple[str, ...]:
+        """Notes on the values of the parameters ``free``, for reports: none."""
+        return ()
 
     def occlusion(self, mask: Float[Array, "h w"]) -> Float[Array, "h w"]:
         """The mask that the light pass reads, from the mask that was given: the same."""

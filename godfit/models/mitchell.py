@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -17,7 +18,13 @@ from godfit.io.arrays import as_light
 from godfit.models.base import FAINTEST, AbstractModel, Vector
 from godfit.models.coordinates import DENSITY, EXPOSURE, GAIN, KAPPA, SCATTERING_COUNT
 from godfit.runtime.device import on_device
-from godfit.scattering.parameters import SCATTERING, Parameter, table
+from godfit.scattering.parameters import (
+    MAX_DENSITY,
+    SCATTERING,
+    Parameter,
+    density_reach,
+    table,
+)
 from godfit.scattering.radial import radial_sum
 from godfit.scattering.radial.exact import at_run_time
 from godfit.scattering.taps import Convention, Count, Taps, convention
@@ -29,6 +36,9 @@ MIN_RESAMPLED_DENSITY = 0.25
 """Least density of a model with another number of samples, as a share of the old density."""
 DENSITY_TOLERANCE = 1e-9
 """Absolute error of that density."""
+AT_SLIDER_END = 1e-3
+"""Distance of a density from the end of a slider within which it is that end: a tenth of the step
+of the published ones."""
 TINY_DECAY = 1e-12
 """Least decay in the logarithm of ``resampled``: a decay of 0 has none."""
 TINY_SUM = 1e-30
@@ -125,7 +135,7 @@ class Mitchell(AbstractModel):
         inf = float("inf")
         lights = self.light.size
         # kappa >= 0 is decay <= 1.
-        lower, upper = [0.0, 0.0, MIN_DENSITY, 0.0], [inf, inf, 1.0, inf]
+        lower, upper = [0.0, 0.0, MIN_DENSITY, 0.0], [inf, inf, MAX_DENSITY, inf]
         return lower + [-inf] * lights, upper + [inf] * lights
 
     def linear(self) -> np.ndarray:
@@ -140,6 +150,12 @@ class Mitchell(AbstractModel):
         exposure, kappa, _, gain = coordinates[:SCATTERING_COUNT]
         scattering = [max(exposure, 0.02), max(kappa, 2.0), 0.5, max(gain, 0.05)]
         return np.array(scattering + [0.5] * self.light.size)
+
+    def notes(self, free: Sequence[str]) -> tuple[str, ...]:
+        end = self.convention.density_slider
+        if "density" not in free or end is None or abs(float(self.density) - end) > AT_SLIDER_END:
+            return ()
+        return (f"density is {end:g}, where the slider of {self.shader} ends",)
 
     @property
     def taps(self) -> tuple[Taps, ...]:
@@ -221,8 +237,8 @@ class Mitchell(AbstractModel):
 
 def resampled(model: Mitchell, samples: int) -> Mitchell:
     """``model`` with another number of samples, and with decay, density and weight that make up for
-    it: the attenuation, the centroid and the sum of its taps stay the same. Density stays at most
-    1, where the centroid may differ."""
+    it: the attenuation, the centroid and the sum of its taps stay the same. Density stays in its
+    ``density_reach``, at whose end the centroid may differ."""
     if samples == model.samples or model.convention.box:
         return dataclasses.replace(model, samples=samples)
     density = float(model.density)
@@ -240,7 +256,7 @@ def resampled(model: Mitchell, samples: int) -> Mitchell:
     def centroid_error(rho: float) -> float:
         return _moments(at_density(rho))[1] - centroid
 
-    low, high = MIN_RESAMPLED_DENSITY * density, 1.0
+    low, high = MIN_RESAMPLED_DENSITY * density, density_reach(density)
     if centroid_error(low) < 0 < centroid_error(high):
         root: Any = optimize.brentq(centroid_error, low, high, xtol=DENSITY_TOLERANCE)
         rho = float(root)

@@ -6,6 +6,7 @@ of its place in the world, so that the rays and the shapes of a picture determin
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import equinox as eqx
@@ -127,6 +128,9 @@ class Staged(AbstractShaded):
         scattering, light = coordinates[:SCATTERING_COUNT], np.zeros(2)
         known = self.shading.ranges(np.concatenate([scattering, light]))[:SCATTERING_COUNT]
         return np.concatenate([known, np.full(len(coordinates) - SCATTERING_COUNT, 0.5)])
+
+    def notes(self, free: Sequence[str]) -> tuple[str, ...]:
+        return self.shading.notes(free)
 
     def staged(self) -> Scene:
         """The scene with this model's numbers."""

@@ -90,6 +90,7 @@ def verdict(
         settled.coordinates, uncertainty.covariance, problem.free, problem.held, found.opened
     )
     estimated = estimates(problem.model, solution, problem.model.used)
+    fitted = [name for name, moves in zip(problem.names, problem.free, strict=True) if moves]
     objection = found.objection
     if picture.foreign and not objection:
         objection = _undetermined_place(found.starts_agreed, estimated.params)
@@ -122,7 +123,7 @@ def verdict(
         correlations=_correlations(problem.names, estimated.covariance),
         undetermined=estimated.undetermined,
         warnings=(*(s.words for s in uncertainty.suspects), *remarks),
-        notes=(*notes, *_clipped_ends(picture)),
+        notes=(*notes, *_clipped_ends(picture), *estimated.model.notes(fitted)),
         noise_levels=settled.sigma,
         rmse_levels=rmse,
         psnr_db=float(20 * np.log10(LEVELS / max(rmse, 1e-6))),

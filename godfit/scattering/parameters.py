@@ -10,6 +10,12 @@ import re
 from dataclasses import dataclass
 from math import inf
 
+LIGHT_DENSITY = 1.0
+"""Density at which the taps reach the light: above it the last ones lie beyond the light."""
+MAX_DENSITY = 2.0
+"""Largest density, as a share of the ray: the sliders of published shaders end at 1 or at 2, and
+pictures were published at 1.056 and 1.094."""
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -26,10 +32,18 @@ class Parameter:
 SCATTERING = (
     Parameter("exposure", "E", "1", 0.0, inf, "scale of the whole light pass"),
     Parameter("decay", "d", "1 per tap", 0.0, 1.0, "ratio of a tap's weight to the one before it"),
-    Parameter("density", "rho", "of the ray", 0.0, 1.0, "how far towards the light the taps reach"),
+    Parameter(
+        "density", "rho", "of the ray", 0.0, MAX_DENSITY, "how far towards the light the taps reach"
+    ),
     Parameter("weight", "w", "1", 0.0, inf, "weight of a tap relative to the pixel's own value"),
 )
 """The parameters of Mitchell's sum besides the light, in the order of reports."""
+
+
+def density_reach(density: float) -> float:
+    """The end of the range that a density is in: taps up to the light, or taps beyond it. Another
+    shader in place of one whose taps end at the light should not reach beyond it either."""
+    return LIGHT_DENSITY if density <= LIGHT_DENSITY else MAX_DENSITY
 
 
 def light_parameters(lights: int) -> tuple[Parameter, ...]:

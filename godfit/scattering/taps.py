@@ -84,6 +84,11 @@ class Taps(eqx.Module):
         return jnp.asarray(self.step) * (jnp.arange(1, self.count + 1) - self.lag)
 
     @property
+    def end(self) -> Scalar:
+        """Position of the last tap in ``unit``."""
+        return self.step * (self.count - self.lag)
+
+    @property
     def total(self) -> Float[Array, ""]:
         """c_0 + sum c_k: the sum over a mask that is 1 everywhere."""
         return self.own + self.c.sum()
@@ -113,6 +118,11 @@ class Convention:
     is B + L - B L.
 
     ``defaults`` are the published default parameters by name, none where none are published.
+    ``density_slider`` is where the slider of density ends in the published program, None where
+    none is published.
+
+    Texture coordinates are those of GLSL, v up. In HLSL v runs down; that changes the light's v to
+    1 - v and no tap, because taps lie on straight lines to the light.
     """
 
     name: str
@@ -125,6 +135,7 @@ class Convention:
     defaults: dict[str, float] = field(default_factory=dict)
     blend: Literal["add", "screen"] = "add"
     background_gain: float = 1.0
+    density_slider: float | None = None
     remarks: str = ""
 
     def taps(
@@ -164,6 +175,8 @@ def _defaults(exposure: float, decay: float, density: float, weight: float, samp
     }
 
 
+EQUATION_4 = "equation 4 of the slides divides by n: E there is n times E here"
+"""What both decks' formula has and neither shader: a fitted exposure is that of the shader."""
 CONVENTIONS: dict[str, Convention] = {
     c.name: c
     for c in (
@@ -178,14 +191,16 @@ CONVENTIONS: dict[str, Convention] = {
             drop=1,
             order=0,
             defaults=_defaults(0.05, 0.99, 0.8, 0.8, 200),
-            remarks="decay before use; light pass at half resolution by default",
+            density_slider=1.0,
+            remarks=f"decay before use; light pass at half resolution by default; {EQUATION_4}",
         ),
         Convention(
             "vesper",
             "B + E (M + w sum_{i=1..n-1} d^(i-1) M_i)",
             drop=1,
             defaults=_defaults(0.05, 0.99, 0.8, 0.8, 150),
-            remarks="decay after use; light pass at half resolution by default",
+            density_slider=1.0,
+            remarks=f"decay after use; light pass at half resolution by default; {EQUATION_4}",
         ),
         Convention(
             "article-glsl",
@@ -193,6 +208,8 @@ CONVENTIONS: dict[str, Convention] = {
             gain=0.4,
             defaults=_defaults(0.2, 0.96815, 0.926, 0.58767, 100),
             background_gain=1.1,
+            remarks="the last line of the article; its second listing, B + .4 (M + w sum), is "
+            "mitchell with E = .4, and its first the same without B",
         ),
         Convention(
             "article-hlsl",
@@ -200,6 +217,7 @@ CONVENTIONS: dict[str, Convention] = {
             gain=0.4,
             defaults=_defaults(0.92, 0.97815, 0.966, 0.58767, 100),
             background_gain=1.1,
+            remarks="v runs down in D3D: give a light so measured with --light-origin top",
         ),
         Convention(
             "babylon",

@@ -29,9 +29,11 @@ from godfit.runtime.blas import one_thread
 from godfit.runtime.device import on_device
 from godfit.runtime.parallel import parallel_map
 from godfit.runtime.program_cache import cached_jit
+from godfit.scattering.parameters import LIGHT_DENSITY
 
 SCAN_DENSITIES = 400
-"""Densities tried over the whole range: a minimum is about 1/samples wide."""
+"""Densities tried from LOWEST_DENSITY to 1, and in proportion in a larger range: a minimum is about
+1/samples wide."""
 CLOSE_DENSITIES = 120
 """Densities tried within CLOSE_RANGE of the start, where the right minimum most likely lies."""
 CLOSE_RANGE = 0.06
@@ -208,12 +210,13 @@ def scan_density(
     follow = _valley_direction(at, problem, along, smooth)
     here = at[along]
     lowest, highest = max(lower[along], LOWEST_DENSITY), upper[along]
+    everywhere = round(SCAN_DENSITIES * (highest - lowest) / (LIGHT_DENSITY - LOWEST_DENSITY))
     near = np.linspace(
         max((1 - CLOSE_RANGE) * here, lowest),
         min((1 + CLOSE_RANGE) * here, highest),
         CLOSE_DENSITIES,
     )
-    values = np.sort(np.concatenate([near, np.linspace(lowest, highest, SCAN_DENSITIES)]))
+    values = np.sort(np.concatenate([near, np.linspace(lowest, highest, everywhere)]))
     sigma = float(np.clip(start.sigma, SHARPEST_SIGMA, BLUNTEST_SIGMA))
 
     # Two lines through the start: one follows the valley, the other suits a start that is right but

@@ -25,7 +25,7 @@ from godfit.models.mitchell import Mitchell
 from godfit.scattering.radial.coordinates import to_pixels
 from godfit.scenes.scene import Scene
 from godfit.scenes.view import drawn_mask
-from godfit.search import density_minima
+from godfit.search import beyond_light, density_minima
 from godfit.search.multigrid import climb
 
 EDGE_ROUNDS = 4
@@ -61,10 +61,15 @@ def settled_edges(
     report("edge pixels")
     if not problem.free.any():
         return picture
+    whole_range, problem = problem, beyond_light.up_to_light(problem, given)
     begun = starting_points(problem, given)
     start = climb(problem.small, begun, lambda text: None).coordinates
-    smooth = problem.replaced(picture=dataclasses.replace(picture, mask=drawn_mask(scene, True)))
     z = _sharp(problem, start)
+    if beyond_light.may_lie_beyond([z], problem):
+        problem = whole_range
+        start = beyond_light.searched(problem, z, given, lambda text: None)[0]
+        z = _sharp(problem, start)
+    smooth = problem.replaced(picture=dataclasses.replace(picture, mask=drawn_mask(scene, True)))
     if scene.antialias is None:
         soft = _sharp(smooth, start)
         hard_off, soft_off = (
@@ -220,12 +225,14 @@ class _UncertainEdges:
                     (p - t * centre) / (1 - t)
                     for p, centre in ((self.columns, light_x), (self.rows, light_y))
                 )
-                reach = int(np.ceil(1 / (1 - t)))
+                # Beyond the light the mask is mirrored: 1 - t is below 0.
+                scale = abs(1 - t)
+                reach = int(np.ceil(1 / scale))
                 steps = np.arange(-reach, reach + 1)
                 column = (np.round(x)[:, None, None] + steps[None, None, :]).astype(int)
                 row = (np.round(y)[:, None, None] + steps[None, :, None]).astype(int)
-                part = np.maximum(0, 1 - (1 - t) * np.abs(column - x[:, None, None]))
-                part = part * np.maximum(0, 1 - (1 - t) * np.abs(row - y[:, None, None]))
+                part = np.maximum(0, 1 - scale * np.abs(column - x[:, None, None]))
+                part = part * np.maximum(0, 1 - scale * np.abs(row - y[:, None, None]))
                 inside = (part > 0) & (column >= 0) & (column < w) & (row >= 0) & (row < h)
                 which = np.broadcast_to(texels[:, None, None], part.shape)[inside]
                 entries.append((weight * part[inside], (row * w + column)[inside], which))
@@ -242,5 +249,5 @@ def _weights(model: Mitchell):
     yield 0.0, float(taps.own)
     for k in range(1, taps.count + 1):
         t = k * float(taps.step)
-        if t < 1 - NEAR_LIGHT_SHARE:
+        if abs(1 - t) > NEAR_LIGHT_SHARE:
             yield t, float(taps.first) * float(taps.ratio) ** (k - 1)

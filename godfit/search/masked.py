@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import NamedTuple
+
+import numpy as np
 
 from godfit.inference import indirect_inference
 from godfit.inference.fitted import Found
 from godfit.inference.information import evidence, undetermined
 from godfit.inference.noise import WITHIN_ROUNDING
-from godfit.inference.problem import Problem, pixels_used
-from godfit.inference.settle import settle
+from godfit.inference.problem import SEARCH_PIXELS, Problem, pixels_used
+from godfit.inference.settle import Settled, settle
 from godfit.inference.strategy import (
     Effort,
     Open,
@@ -22,10 +25,22 @@ from godfit.inference.strategy import (
 from godfit.io.image import LEVELS
 from godfit.models.base import AbstractModel
 from godfit.models.mitchell import Mitchell
-from godfit.search import density_minima, multigrid, multistart
+from godfit.search import beyond_light, density_minima, multigrid, multistart
 
 RETRIED = 3
 """Starts from which a doubtful fit is tried once more, each alone."""
+DECISIVE_LOG_ODDS = 3.0
+"""Log-odds from which one size of the light pass is better than another: odds of twenty."""
+OWN_SIZE = (
+    "light pass: the mask's own size explains the picture better than a smaller one of {w}x{h} "
+    "pixels (noise of {own:.2g} levels against {other:.2g})"
+)
+"""Note with the width, height and noise of the light pass that was rejected."""
+SMALLER_SIZE = (
+    "light pass: {scale:.2g} of the mask's size, {w}x{h} pixels, explains the picture better than "
+    "the whole (noise of {other:.2g} levels against {own:.2g}); --pass-scale 1 overrides this"
+)
+"""Note with the scale, width, height and noise of the light pass that is kept."""
 
 
 @search.register
@@ -43,36 +58,31 @@ def _(model: Mitchell, problem: Problem) -> Open | None:
     return Open("exposure", ("weight",))
 
 
+class Located(NamedTuple):
+    """The likeliest point of a problem on all pixels, and the starts of its search, best first."""
+
+    found: Found
+    begun: list[np.ndarray]
+
+
 def search_mask(problem: Problem, given: dict[str, float], effort: Effort) -> Found:
     """The fit of ``problem``: on a small copy from a grid of starts, on a few thousand sharp
     pixels, and on all of them; then doubts about the answer, and what the picture leaves open."""
-    found = _on_all_pixels(problem, given, effort)
-    if found.problem.free.any() and found.settled.sigma > WITHIN_ROUNDING:
-        found = _with_plateaus(found, given, effort)
-    problem = found.problem
-    if (
-        effort.inquire
-        and problem.free.any()
-        and problem.model.banded
-        and multistart.doubtful(found)
-    ):
-        begun = starting_points(problem, given)
-        found = multistart.again(found, begun[:RETRIED], effort.report)
-        effort.report("mask or transfer interpreted otherwise")
-
-        def starts(picture):
-            return starting_points(problem.replaced(picture=picture), given)
-
-        found = found.replaced(remedy=multistart.remedy(found, starts))
+    located = _with_plateaus(_located(problem, given, effort), given, effort)
+    located = _of_better_size(located, given, effort)
+    found = located.found
+    if effort.inquire and problem.free.any() and problem.model.banded:
+        found = _doubted(located, given, effort)
     found = hold_open(found, given)
     return indirect_inference.corrected(found) if effort.inquire else found
 
 
-def _on_all_pixels(problem: Problem, given: dict[str, float], effort: Effort) -> Found:
-    """The likeliest point on all pixels."""
-    model, picture = problem.model, problem.picture
-    any_free = problem.free.any()
+def _located(problem: Problem, given: dict[str, float], effort: Effort) -> Located:
+    """The likeliest point, from a grid of starts: with taps up to the light, and beyond it where
+    those lead to its end."""
+    any_free, model = problem.free.any(), problem.model
     effort.report("screening")
+    whole_range, problem = problem, beyond_light.up_to_light(problem, given)
     begun = starting_points(problem, given)
     candidates = [begun[0]]
     if any_free:
@@ -80,6 +90,19 @@ def _on_all_pixels(problem: Problem, given: dict[str, float], effort: Effort) ->
         candidates = [climbed.coordinates]
     if any_free and model.banded:
         candidates = density_minima.on_subset(problem, candidates[0], effort.report)
+        if beyond_light.may_lie_beyond(candidates, problem):
+            problem = whole_range
+            candidates = beyond_light.searched(problem, candidates[0], given, effort.report)
+    found = _likeliest(problem, candidates, effort)
+    if beyond_light.barely_beyond(found):
+        within = beyond_light.up_to_light(problem, {})
+        found = _likeliest(within, [found.settled.coordinates], effort)
+    return Located(found, begun)
+
+
+def _likeliest(problem: Problem, candidates: list[np.ndarray], effort: Effort) -> Found:
+    """The likeliest of the ``candidates`` (p,) on all pixels."""
+    picture = problem.picture
     whole = picture.observe(pixels_used(picture, problem.seed, effort.max_values))
     effort.report(f"all {len(whole.pixels):,} pixels")
     settled, at, counted = density_minima.likeliest(problem, candidates, whole)
@@ -87,21 +110,84 @@ def _on_all_pixels(problem: Problem, given: dict[str, float], effort: Effort) ->
     return Found(problem, counted, settled, at, inquire=effort.inquire)
 
 
-def _with_plateaus(found: Found, given: dict[str, float], effort: Effort) -> Found:
-    """The fit with the values that many pixels share at an end of the target's scale taken as
+def _doubted(located: Located, given: dict[str, float], effort: Effort) -> Found:
+    """The fit, and, where its residual is neither rounding nor noise, densities above 1, other
+    starts and other interpretations of the images."""
+    found, begun = located
+    if not multistart.doubtful(found):
+        return found
+    whole_range = found.problem.replaced(most={})
+    farther = beyond_light.searched_anew(
+        whole_range, found.settled.coordinates, given, effort.report
+    )
+    # Numbers of a fit that is wrong either way stay as they are.
+    other = _likeliest(whole_range, farther, effort) if farther else found
+    if not multistart.doubtful(other):
+        return other
+    found = multistart.again(found, begun[:RETRIED], effort.report)
+    effort.report("mask or transfer interpreted otherwise")
+    problem = found.problem
+
+    def starts(picture):
+        return starting_points(problem.replaced(picture=picture), given)
+
+    return found.replaced(remedy=multistart.remedy(found, starts))
+
+
+def _with_plateaus(own: Located, given: dict[str, float], effort: Effort) -> Located:
+    """The point with the values that many pixels share at an end of the target's scale taken as
     clipped, where that is likelier than a flat area. Both are probabilities of the same values;
     the level of the clipping is one more number, of 256."""
+    if not own.found.problem.free.any() or own.found.settled.sigma <= WITHIN_ROUNDING:
+        return own
     for top in (True, False):
-        plateau = found.problem.picture.plateau(top)
+        problem, likelihood = own.found.problem, own.found.settled.log_likelihood
+        plateau = problem.picture.plateau(top)
         if plateau is None:
             continue
         effort.report(f"values of {plateau[0]:g} taken as clipped")
         end = {"ceiling" if top else "floor": plateau[0]}
-        picture = dataclasses.replace(found.problem.picture, **end)
-        other = _on_all_pixels(found.problem.replaced(picture=picture), given, effort)
-        if other.settled.log_likelihood > found.settled.log_likelihood + math.log(LEVELS + 1):
-            found = other
-    return found
+        picture = dataclasses.replace(problem.picture, **end)
+        other = _located(problem.replaced(picture=picture, most={}), given, effort)
+        if other.found.settled.log_likelihood > likelihood + math.log(LEVELS + 1):
+            own = other
+    return own
+
+
+def _of_better_size(own: Located, given: dict[str, float], effort: Effort) -> Located:
+    """The point ``own`` of the mask's size, or that of the rival with a smaller light pass where
+    this is decidedly better; with a note where one of them is.
+
+    Both are compared on the same few pixels, first from the point at hand, so that a picture of the
+    mask's size that is merely noisy costs no second search.
+    """
+    found, problem = own.found, own.found.problem
+    if effort.rival is None or not problem.free.any() or found.settled.sigma <= WITHIN_ROUNDING:
+        return own
+    effort.report("a smaller light pass")
+    rival, start, chosen, note = effort.rival(), found.settled.coordinates, own, ""
+    ends = {"floor": problem.picture.floor, "ceiling": problem.picture.ceiling}
+    rival = rival.replaced(picture=dataclasses.replace(rival.picture, **ends))
+    here, there = _on_few_pixels(problem, start), _on_few_pixels(rival, start)
+    if there.log_likelihood > here.log_likelihood + DECISIVE_LOG_ODDS:
+        other = _located(rival, given, effort)
+        there = _on_few_pixels(rival, other.found.settled.coordinates)
+        # A smaller pass is smoother, so that it also hides a part of what other defects cause.
+        explained = not multistart.doubtful(other.found)
+        explained |= there.sigma < multistart.REMEDIED * here.sigma
+        if explained and there.log_likelihood > here.log_likelihood + DECISIVE_LOG_ODDS:
+            chosen, note = other, SMALLER_SIZE
+    elif here.log_likelihood > there.log_likelihood + DECISIVE_LOG_ODDS:
+        note = OWN_SIZE
+    h, w = rival.picture.mask.shape[:2]
+    scale = h / problem.picture.mask.shape[0]
+    words = note.format(scale=scale, w=w, h=h, own=here.sigma, other=there.sigma)
+    return chosen._replace(found=chosen.found.replaced(notes=(words,) if note else ()))
+
+
+def _on_few_pixels(problem: Problem, start: np.ndarray) -> Settled:
+    """Where a problem settles from ``start`` on the pixels of a search."""
+    return settle(start, problem, problem.observe(SEARCH_PIXELS))[0]
 
 
 def hold_open(found: Found, given: dict[str, float]) -> Found:

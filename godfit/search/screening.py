@@ -28,6 +28,7 @@ from godfit.models.mitchell import Mitchell
 from godfit.runtime.device import on_device
 from godfit.runtime.parallel import map_halves
 from godfit.runtime.program_cache import cached_jit
+from godfit.scattering.parameters import density_reach
 from godfit.scattering.radial.nearest import GRID_DENSITIES, RAY_STEPS, read_rays
 
 SCREENING_SIZE = 64
@@ -144,9 +145,10 @@ def mitchell_starts(
             return _box_rays(on_device(mask), on_device(spots), on_device(at), model)
     else:
         shapes = _shapes(given, model.samples)
-        middles = (np.arange(RAY_STEPS) + 0.5) / RAY_STEPS
+        steps = round(RAY_STEPS * density_reach(float(shapes[:, 1].max())))
+        middles = (np.arange(steps) + 0.5) / RAY_STEPS
         # The last step of a ray may be covered in part.
-        part = np.clip(shapes[:, 1:] * RAY_STEPS - np.arange(RAY_STEPS), 0, 1)
+        part = np.clip(shapes[:, 1:] * RAY_STEPS - np.arange(steps), 0, 1)
         along = (np.exp(-shapes[:, :1] * middles) * part / RAY_STEPS).astype(np.float32)
         scale = shader.gain
         own = ndimage.map_coordinates(mask, at[:, ::-1].T, order=1, mode="nearest")
@@ -154,7 +156,7 @@ def mitchell_starts(
         fine = ndimage.zoom(mask, 2, order=1, mode="nearest", grid_mode=True)
 
         def rays_to(spots):
-            return read_rays(on_device(fine), on_device(spots), on_device(at))
+            return read_rays(on_device(fine), on_device(spots), on_device(at), steps)
 
     view = _View(own, goal, weight)
     groups = np.arange(len(places))[:, None]
@@ -191,11 +193,18 @@ def _with_given(model: Mitchell, start: np.ndarray, given: dict[str, float]) -> 
     if not given:
         return start
     held = np.array([given.get(name, np.nan) for name in model.parameters], np.float32)
+    return np.asarray(_coordinates_with(model, jnp.asarray(start), jnp.asarray(held)), np.float32)
+
+
+@cached_jit
+def _coordinates_with(
+    model: Mitchell, start: Float[Array, " p"], held: Float[Array, " p"]
+) -> Float[Array, " p"]:
     # The coordinates of decay and weight also depend on density and exposure. So the given values
     # are put in as parameters, and the coordinates are computed from these.
-    at = model.moved(jnp.asarray(start), held)
+    at = model.moved(start, held)
     decay = jnp.maximum(at.decay, 1e-6)
-    return np.asarray(eqx.tree_at(lambda m: m.decay, at, decay).coordinates(), np.float32)
+    return eqx.tree_at(lambda m: m.decay, at, decay).coordinates()
 
 
 def _in_order(group: np.ndarray, places: np.ndarray, given_lights: tuple[int, ...]) -> list[int]:

@@ -29,6 +29,7 @@ from godfit.models.mitchell import Mitchell
 from godfit.report.result import FitResult
 from godfit.report.select import Row, Rung, Selection
 from godfit.runtime.parallel import parallel_map
+from godfit.scattering.parameters import MAX_DENSITY
 from godfit.scattering.taps import CONVENTIONS
 from godfit.scenes.scene import Scene, read_scene
 from godfit.scenes.view import in_single_precision, light_on_screen
@@ -39,7 +40,7 @@ HELD_OUT_BLOCK = 16
 HELD_OUT_VALUES = 1 << 16
 """Values that held-out pixels are drawn from, at most: they limit the time."""
 OVERSHOT_DENSITY = 1e-6
-"""Rounding error by which an equivalent density may exceed 1."""
+"""Rounding error by which an equivalent density may exceed the largest one."""
 
 
 def select(
@@ -221,12 +222,12 @@ def _equivalent(rung: Rung, base: FitResult) -> dict[str, dict[str, float]]:
         samples = taps.count + other.drop
         exposure = own / (other.gain * other.own) if other.own_pixel else float(model.exposure)
         weight = first / max(other.gain * exposure * decay ** (1 - other.order), 1e-30)
-        density = step * samples
-        if density > 1 + OVERSHOT_DENSITY:
+        density = min(step * samples, MAX_DENSITY)
+        if step * samples > MAX_DENSITY + OVERSHOT_DENSITY:
             continue
         lights = {k: v for k, v in rung.values.items() if k.startswith("light")}
         found[other.name] = {
-            "exposure": exposure, "decay": decay, "density": min(density, 1.0), "weight": weight,
+            "exposure": exposure, "decay": decay, "density": density, "weight": weight,
             **lights, "samples": float(samples),
         }  # fmt: skip
     return found

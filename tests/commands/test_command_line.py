@@ -179,7 +179,7 @@ def test_nan_is_refused(disc, capsys):
         (["--shader", "dawntimes"], 1, "did you mean 'dawntime'"),
         (["--fix", "expsure=1"], 1, "did you mean 'exposure'"),
         (["--fix", "exposure=bright"], 2, "expected NAME=VALUE"),
-        (["--start", "density=2"], 1, "expected density from 0 to 1"),
+        (["--start", "density=2.5"], 1, "expected density from 0 to 2"),
         (["--start", "density"], 2, "expected NAME=VALUE"),
         (["--ignore", "1,2,3"], 1, "1,2,3"),
         (["--ignore", "0,0,256,256"], 1, "ignore less"),
@@ -226,6 +226,7 @@ def test_what_a_fit_without_a_mask_does_not_do(disc, capsys, arguments, words):
     [
         (["FILE", "--mask", "FILE"], 2, "--mask: expected one picture"),
         (["FILE", "--profile", "density"], 2, "--profile: expected one picture"),
+        (["FILE", "--light-px", "1,2"], 2, "--light-px: expected one picture"),
         (["FILE", "--every", "0"], 2, "--every"),
         (["--every", "2"], 2, "--every: expected several frames or a video"),
         (["none.png"], 1, "'none.png': expected an image or a video"),
@@ -288,6 +289,80 @@ def test_options_override_the_side_file(disc, capsys, monkeypatch):
     assert "stopped" in fails(capsys, 1, "fit", disc, "--shader", "vesper")
     assert (given["shader"], given["samples"]) == ("vesper", 100)
     assert Path(given["mask"]) == disc.parent / "disc_mask.png"
+
+
+WAYS = (
+    ["--light", "0.5625,0.75"],
+    ["--light-px", "144,64"],
+    ["--light-origin", "top", "--light", "0.5625,0.25"],
+)
+"""One place in a picture of 256x256 pixels: v up, in pixels, and v down as in HLSL."""
+
+
+def test_pixels_and_v_from_the_top_render_the_same_picture(disc):
+    mask, out = disc.parent / "disc_mask.png", disc.parent / "out.npy"
+    arguments = ["render", str(mask), "-o", str(out), "--shader", "article-hlsl"]
+    pictures = []
+    for way in (*WAYS, ["--light-px", "143,64"]):
+        assert main([*arguments, *way]) == 0
+        pictures.append(read_image(out).values)
+    assert np.array_equal(pictures[0], pictures[1])
+    assert np.array_equal(pictures[0], pictures[2])
+    assert not np.array_equal(pictures[0], pictures[3])
+
+
+def test_pixels_are_those_of_the_picture(disc):
+    """Not the mask's, where these differ; a repeated option gives several lights."""
+    mask, out = disc.parent / "disc_mask.png", disc.parent / "out.npy"
+    arguments = ["render", str(mask), "-o", str(out), "--shader", "dawntime", "--size", "128x64"]
+    pictures = []
+    for way in (
+        ["--light", "0.5625,0.75", "--light", "0.25,-0.5"],
+        ["--light-px", "72,16", "--light-px", "32,96"],
+    ):
+        assert main([*arguments, *way]) == 0
+        pictures.append(read_image(out).values)
+    assert np.array_equal(*pictures)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_light_starts_a_fit_and_is_held_by_select(disc, capsys, monkeypatch, way):
+    given = {}
+
+    def study(target, **options):
+        given.update(options)
+        raise InputError("stopped")
+
+    monkeypatch.setattr("godfit.fitting.fit", study)
+    monkeypatch.setattr("godfit.studies.select.select", study)
+    assert "stopped" in fails(capsys, 1, "fit", disc, *way)
+    assert given["start"] == {"light_x": 0.5625, "light_y": 0.75}
+    assert given["lights"] == 1
+    assert "stopped" in fails(capsys, 1, "fit", disc, *way, *way, "--start", "decay=.9")
+    assert given["start"]["light2_y"] == 0.75
+    assert given["start"]["decay"] == 0.9
+    assert given["lights"] == 2
+    assert "stopped" in fails(capsys, 1, "fit", disc, *way, "--lights", "3")
+    assert given["lights"] == 3
+    assert "stopped" in fails(capsys, 1, "select", disc, *way)
+    assert given["light"] == (0.5625, 0.75)
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "words"),
+    [
+        ("fit", ["--light", "1,2", "--light-px", "1,2"], "got both; give one"),
+        ("fit", ["--light-origin", "top"], "--light-origin: expected --light U,V with it"),
+        ("fit", ["--light-px", "1"], "expected X,Y, got '1'"),
+        ("fit", ["--light", "nan,1"], "expected two finite numbers U,V"),
+        ("fit", ["--light", "1,2", "--start", "light_y=1"], "expected no --start light_y with it"),
+        ("fit", ["--light", "1,2", "--free", "light.position"], "expected no --free with it"),
+        ("fit", ["--light", "1,2", "--light", "3,4", "--lights", "1"], "--light: expected at most"),
+        ("select", ["--light-px", "1,2", "--light-px", "3,4"], "--light-px: expected one light"),
+    ],
+)
+def test_bad_lights(disc, capsys, command, arguments, words):
+    assert words in fails(capsys, 2, command, disc, *arguments)
 
 
 def test_a_full_disk_leaves_no_half_file(disc, capsys, monkeypatch):

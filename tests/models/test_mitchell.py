@@ -6,6 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from godfit.models.coordinates import DENSITY
+from godfit.models.disc_light import DiscLight
 from godfit.models.mitchell import Mitchell
 from godfit.runtime import xla_ffi
 from godfit.scattering import upsample
@@ -47,6 +49,30 @@ def test_values_are_in_the_order_of_the_table():
     assert numbers == [*POINT, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
     assert [p.name for p in three.parameters.values()] == names.split()
     assert [len(b) for b in three.bounds()] == [10, 10]
+
+
+def test_density_goes_on_beyond_the_light_but_for_bare_pictures():
+    shading = Mitchell(*POINT, LIGHT)
+    bare = DiscLight(shading, [0.1, 0.01, 0.0], np.zeros((1, 1)))
+    for one, most in ((shading, 2.0), (bare, 1.0)):
+        assert one.bounds()[1][DENSITY] == most
+        assert one.parameters["density"].upper == most
+
+
+@pytest.mark.parametrize(
+    ("shader", "density", "free", "count"),
+    [
+        ("dawntime", 1.0, ["density"], 1),
+        ("vesper", 0.9995, ["decay", "density"], 1),
+        ("dawntime", 1.0, ["decay"], 0),
+        ("dawntime", 1.01, ["density"], 0),
+        ("babylon", 1.0, ["density"], 0),
+    ],
+)
+def test_the_end_of_a_slider_is_noted(shader, density, free, count):
+    """Of shaders whose slider is published, where density was fitted."""
+    notes = Mitchell(0.1, 0.9, density, 0.6, LIGHT, shader).notes(free)
+    assert notes == (f"density is 1, where the slider of {shader} ends",) * count
 
 
 def test_samples_default_to_the_shaders_own():

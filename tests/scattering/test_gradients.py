@@ -55,6 +55,16 @@ def test_jvp_is_that_of_the_reference(shader, light):
     agree(jacobian(z, shader, "strips"), expected, 1e-10)
 
 
+# No light in a row of pixels: the taps of that row would be on a texel line, where slopes jump.
+@pytest.mark.parametrize("light", [(0.37, 0.62), (0.0, 0.31), (-0.6, 1.7), (3.0, -2.0)])
+def test_jvp_beyond_the_light(light):
+    z = vector(light, (0.13, 0.93, 1.7391, 0.6))
+    for at in (None, AT):
+        expected = jacobian(z, method="reference", at=at)
+        for method in ("pairs", "strips"):
+            agree(jacobian(z, method=method, at=at), expected, 1e-10)
+
+
 @pytest.mark.parametrize("light", oracle.LIGHTS.values(), ids=oracle.LIGHTS)
 @pytest.mark.parametrize("method", ["pairs", "strips"])
 def test_jvp_at_points(light, method):
@@ -136,6 +146,7 @@ EDGES = {
     "decay 1": (0.13, 1.0, 0.74, 0.6),
     "density 0": (0.13, 0.93, 0.0, 0.6),
     "density 1": (0.13, 0.93, 1.0, 0.6),
+    "density 2": (0.13, 0.93, 2.0, 0.6),
     "weight 0": (0.13, 0.93, 0.74, 0.0),
     "exposure 0": (0.0, 0.93, 0.74, 0.6),
 }

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from godfit.scattering.parameters import LIGHT_DENSITY
 from godfit.scattering.radial.exact import EXACT, fastest
 from godfit.scattering.radial.methods import METHODS, radial_sum
 from godfit.scattering.taps import Taps
@@ -109,6 +110,9 @@ def cheapest(
     if tolerance == 0 or taps.unit != "ray":
         return exact
     price = costs(mask.shape[0], mask.shape[1], taps.count)
+    if taps.end > LIGHT_DENSITY:
+        # The matrix has twice the columns.
+        price["polar"] *= 2
     for method in sorted(price, key=price.__getitem__):
         if price[method] >= price[exact]:
             break

@@ -17,16 +17,20 @@ GRID_DENSITIES = (0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.0)
 
 @cached_jit
 def read_rays(
-    mask: Float[Array, "h w"], light: Float[Array, "lights 2"], at: Float[Array, "points 2"]
+    mask: Float[Array, "h w"],
+    light: Float[Array, "lights 2"],
+    at: Float[Array, "points 2"],
+    steps: int = RAY_STEPS,
 ) -> Float[Array, "lights steps points"]:
-    """The mask along the ray from every point to every light, at the middles of RAY_STEPS steps.
+    """The mask along the ray from every point to every light, at the middles of its ``steps``. The
+    first RAY_STEPS end at the light, further ones lie beyond.
 
     ``light`` is in texture coordinates (u, v). ``at`` is in pixels of a picture of half the mask's
     resolution, because the nearest texel of a mask of twice the resolution is accurate enough.
     """
     h, w = mask.shape
     x, y = 2 * at[:, 0] + 0.5, 2 * at[:, 1] + 0.5
-    t = (jnp.arange(RAY_STEPS, dtype=mask.dtype)[:, None] + 0.5) / RAY_STEPS
+    t = (jnp.arange(steps, dtype=mask.dtype)[:, None] + 0.5) / RAY_STEPS
     texels = mask.ravel()
 
     def to_light(light):

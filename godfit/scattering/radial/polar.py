@@ -10,9 +10,12 @@ With the light in the picture the radii form a sinh grid, twice as fine near the
 average. With the light outside, only the angles that the picture spans are used, and most radii lie
 between the picture's nearest and farthest point.
 
+Taps beyond the light (density above 1) lie on the rays' continuation, at distances below 0. With
+such taps rays and matrix have twice the columns.
+
 Cost: angles x radii^2, one matmul, for any number of taps; it grows faster than the picture. Error:
 that of two bilinear resamplings, at the picture's own resolution. Points other than whole pictures
-are summed exactly. Taps beyond the light (density above 1) are read at the light.
+are summed exactly.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from godfit.scattering.parameters import LIGHT_DENSITY
 from godfit.scattering.radial.coordinates import points, to_pixels
 from godfit.scattering.radial.derivatives import require_ray_taps
 from godfit.scattering.radial.exact import exact
@@ -97,8 +101,13 @@ def _length(x, y):
     return jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1)), 0)
 
 
-def radial_matrix(taps: Taps, radius: Float[Array, " n"], dtype) -> Float[Array, "n n"]:
-    """Entry (i, j) is the weight of the value at radius j, linear in between, in the sum at i.
+def radial_matrix(
+    taps: Taps, radius: Float[Array, " n"], place: Float[Array, " m"], dtype
+) -> Float[Array, "n m"]:
+    """Entry (i, j) is the weight of the value at ``place`` j in the sum at ``radius`` i.
+
+    Both are distances from the light, and ``place`` is below 0 on the other side of it. It is
+    increasing, and values are linear in between.
 
     A run of consecutive taps falls between two radii. The weights that it gives to both depend only
     on the sums of its c and of its c t, which are differences of running totals. So the cost does
@@ -109,16 +118,18 @@ def radial_matrix(taps: Taps, radius: Float[Array, " n"], dtype) -> Float[Array,
     running = jnp.concatenate([zero, jnp.cumsum(c)])
     running_t = jnp.concatenate([zero, jnp.cumsum(c * t)])
     own = radius[:, None]
-    # On the way from radius i to the light, taps up to this t have not passed radius j.
-    last_t = jnp.where(own > 0, 1 - radius[None] / jnp.where(own > 0, own, 1), -1)
+    # On the way from radius i past the light, taps up to this t have not passed place j. At the
+    # light itself all taps stay there.
+    at_light = jnp.where(place < 0, jnp.inf, -1).astype(dtype)
+    last_t = jnp.where(own > 0, 1 - place[None] / jnp.where(own > 0, own, 1), at_light[None])
     step = jnp.where(jnp.asarray(taps.step) > 0, taps.step, 1e-6)
     beyond = lax.stop_gradient(jnp.floor(last_t / step + taps.lag))
     beyond = jnp.clip(beyond, 0, taps.count).astype(jnp.int32)
     total, total_t = running[beyond], running_t[beyond]
     run, run_t = total[:, :-1] - total[:, 1:], total_t[:, :-1] - total_t[:, 1:]
-    upper = (own * (run - run_t) - radius[None, :-1] * run) / jnp.diff(radius)[None]
+    upper = (own * (run - run_t) - place[None, :-1] * run) / jnp.diff(place)[None]
     matrix = jnp.pad(upper, ((0, 0), (1, 0))) + jnp.pad(run - upper, ((0, 0), (0, 1)))
-    # Taps at the light or beyond it read the value at radius 0.
+    # Taps beyond the first place read the value there.
     return matrix.at[:, 0].add(running[-1] - total[:, 0])
 
 
@@ -138,13 +149,20 @@ def polar(
     radius = grid.radius(jnp.arange(grid.radii, dtype=mask.dtype) / (grid.radii - 1))
     share_of_span = jnp.arange(grid.angles, dtype=mask.dtype) / (grid.angles - 1)
     angle = jnp.arctan2(grid.middle[1], grid.middle[0]) + grid.low + grid.span * share_of_span
-    rays = bilinear(
-        mask,
-        light_x + jnp.cos(angle)[:, None] * radius[None],
-        light_y + jnp.sin(angle)[:, None] * radius[None],
+
+    def sums_over(place):
+        rays = bilinear(
+            mask,
+            light_x + jnp.cos(angle)[:, None] * place[None],
+            light_y + jnp.sin(angle)[:, None] * place[None],
+        )
+        matrix = radial_matrix(taps, radius, place, mask.dtype)
+        return jnp.matmul(rays, matrix.T, precision=lax.Precision.HIGHEST)
+
+    both_sides = jnp.concatenate([-radius[:0:-1], radius])
+    sums = lax.cond(
+        taps.end > LIGHT_DENSITY, lambda: sums_over(both_sides), lambda: sums_over(radius)
     )
-    matrix = radial_matrix(taps, radius, mask.dtype)
-    sums = jnp.matmul(rays, matrix.T, precision=lax.Precision.HIGHEST)
     x, y = points(h, w, None, mask.dtype)
     x, y = x - light_x, y - light_y
     distance = _length(x, y)

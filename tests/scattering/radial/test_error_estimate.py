@@ -44,6 +44,13 @@ def test_no_pixel_is_further_off(mask, light):
         assert method != "strips" or mask is STRUTS
 
 
+def test_taps_beyond_the_light_keep_the_tolerance():
+    taps = Taps(0.01, 0.01, 0.99, 1.6 / 200, 200)
+    for tolerance in (0.5, 5.0):
+        method = cheapest(SMOOTH, LIGHT, taps, tolerance)
+        assert worst(SMOOTH, LIGHT, taps, method) <= tolerance
+
+
 @pytest.mark.parametrize("method", ["merged/4", "half", "polar"])
 def test_estimates_are_above_and_near(method):
     for mask in (SMOOTH, STRUTS):

@@ -122,6 +122,17 @@ class TestErrors:
         np.testing.assert_allclose(points, exact, rtol=0, atol=0.1)
 
 
+@pytest.mark.parametrize("method", APPROXIMATE)
+def test_taps_beyond_the_light(method):
+    """A flat mask is exact, and a soft one no worse than five times the bound for shorter rays: the
+    taps there mirror the mask and enlarge its errors."""
+    taps = Taps(0.02, 0.021, 0.985, 1.8 / 60, 60)
+    for name, light in LIGHTS.items():
+        assert levels(jnp.full((9, 14), 0.7), light, method, taps)[1] < 1e-9
+        rms, _ = levels(SOFT, light, method, taps)
+        assert rms < 5 * BOUNDS[method][name == "off screen"][0]
+
+
 @pytest.mark.parametrize(
     ("worse", "better", "light"),
     [

@@ -75,6 +75,27 @@ def test_points_anywhere(light, method):
     agree(shaped, expected.reshape(3, 2), 1e-12)
 
 
+# Densities 1.06 and 1.9: the last taps lie beyond the light, where the mask is mirrored.
+BEYOND = {"1.06": Taps(0.3, 0.07, 0.95, 1.06 / 24, 24), "1.9": Taps(0.3, 0.07, 0.95, 1.9 / 24, 24)}
+SEVERAL_TILES = np.kron(oracle.hard_mask(9, 19, seed=2), np.ones((8, 8)))
+
+
+@pytest.mark.parametrize("taps", BEYOND.values(), ids=BEYOND)
+@pytest.mark.parametrize("light", oracle.LIGHTS.values(), ids=oracle.LIGHTS)
+@pytest.mark.parametrize("method", radial.EXACT)
+def test_taps_beyond_the_light(method, light, taps):
+    """Every exact method in float32 against the definition in float64, whose total is below 2."""
+    for mask in (np.round(255 * MASKS["random"]) / 255, SEVERAL_TILES):
+        expected = oracle.tap_sum(mask, light, 0.3, np.asarray(taps.c), np.asarray(taps.t))
+        double = radial_sum(jnp.asarray(mask), jnp.array(light), taps, method=method)
+        agree(double, expected, 1e-12)
+        single = jnp.asarray(mask, jnp.float32)
+        # A tap on the edge between two texels falls on either side, far from the light by more.
+        off = np.abs(radial_sum(single, jnp.array(light), taps, method=method) - expected)
+        assert np.median(off) < 1e-6
+        assert off.max() < 2e-5
+
+
 @pytest.mark.parametrize("light", oracle.LIGHTS.values(), ids=oracle.LIGHTS)
 def test_taps_that_read_a_dark_border_add_nothing(light):
     """Points in and far off a mask, most of whose rays miss what is not dark: sums and their
