@@ -29,6 +29,7 @@ class Found:
     - ``starts_agreed`` is (agreeing, tried) where other starts were tried.
     - ``remedy`` is another transfer or mask under which the residual is far smaller.
     - ``scatter`` (p, p) is the covariance of the coordinates where it was simulated.
+    - ``notes`` are sentences for the user that are no doubts.
     """
 
     problem: Problem
@@ -43,6 +44,7 @@ class Found:
     starts_agreed: tuple[int, int] | None = None
     remedy: diagnostics.Suspect | None = None
     scatter: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
 
     def replaced(self, **fields: Any) -> Found:
         """The same with other ``fields``."""

@@ -110,7 +110,8 @@ class Convention:
     A ``box`` convention runs a pass of equal weights for each of its steps (in texture coordinates)
     on 1 - M, one after another, and its light pass is E (1 - result). ``blend`` is how the light
     pass L is composited onto the background B: ``"add"`` is background_gain * B + L, ``"screen"``
-    is B + L - B L.
+    is B + L - B L. ``pass_scale`` is the size of the light pass relative to the picture, where
+    nothing else is known.
 
     ``defaults`` are the published default parameters by name, none where none are published.
     """
@@ -125,6 +126,7 @@ class Convention:
     defaults: dict[str, float] = field(default_factory=dict)
     blend: Literal["add", "screen"] = "add"
     background_gain: float = 1.0
+    pass_scale: float = 1.0
     remarks: str = ""
 
     def taps(
@@ -178,6 +180,7 @@ CONVENTIONS: dict[str, Convention] = {
             drop=1,
             order=0,
             defaults=_defaults(0.05, 0.99, 0.8, 0.8, 200),
+            pass_scale=0.5,
             remarks="decay before use; light pass at half resolution by default",
         ),
         Convention(
@@ -185,6 +188,7 @@ CONVENTIONS: dict[str, Convention] = {
             "B + E (M + w sum_{i=1..n-1} d^(i-1) M_i)",
             drop=1,
             defaults=_defaults(0.05, 0.99, 0.8, 0.8, 150),
+            pass_scale=0.5,
             remarks="decay after use; light pass at half resolution by default",
         ),
         Convention(
