@@ -72,7 +72,7 @@ def mitchell_params(
 
 
 PASS_SCALE = 1
-"""Size of the light pass of the scenes: both sources halve it, but the targets are small already."""
+"""Size of the light pass of the scenes. Both sources halve it; these targets are small already."""
 
 SOURCE_PARAMS = mitchell_params(0.05, 0.99, 0.8, 0.8)
 """The parameters that DawnTime and Vesper start with."""
@@ -210,8 +210,8 @@ def table() -> Stage:
     things = placed(things, (0, -0.3, 2.6), (0, 18, 0))
     things.append(floor(9, 4, at=(0, -1.86, 2.6)) | {"colour": "#010101"})
     return Stage(
-        things, (0.2, 0.25, 6.6), (-0.2, -0.5, -1), 1.35, VESPER_CLEAR, "vesper", 150, SOURCE_PARAMS,
-        "A table, and what stands on it, before a low light.", albedo="#9c6b42",
+        things, (0.2, 0.25, 6.6), (-0.2, -0.5, -1), 1.35, VESPER_CLEAR, "vesper", 150,
+        SOURCE_PARAMS, "A table, and what stands on it, before a low light.", albedo="#9c6b42",
     )  # fmt: skip
 
 
@@ -241,13 +241,13 @@ FLIGHT_PATH = (
 )  # fmt: skip
 """The points of the closed path that the leading craft follows, before the light."""
 
-NEAR_POINT = 0.5
+NEAR_POINT = 0.4
 """Distance from a point of the path at which the craft turns to the next."""
 
-FLIGHT_SPEEDS = 1.5, 1.3
+FLIGHT_SPEEDS = 1.5, 1.4
 """Largest speeds of the leading craft and of its pursuer, a second."""
 
-FLIGHT_UPDATES = 480
+FLIGHT_UPDATES = 679
 """Updates of a lap."""
 
 

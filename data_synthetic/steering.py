@@ -81,7 +81,5 @@ def flown(path: Sequence[Sequence[float]], near: float, speeds: tuple[float, flo
         leader.steer(points[at])
         pursuer.steer(predicted(pursuer, leader))
         if laps == SETTLING_LAPS:
-            kept.append(
-                (leader.position, leader.velocity, pursuer.position, pursuer.velocity)
-            )
+            kept.append((leader.position, leader.velocity, pursuer.position, pursuer.velocity))
     return Flight(*(np.array(column) for column in zip(*kept, strict=True)))

@@ -47,7 +47,11 @@ class _Faces(NamedTuple):
 def ordinary_pass(scene: Scene) -> np.ndarray:
     """The ordinary pass at the scene's size: (h, w), or (h, w, 3) where a colour is not grey,
     float32, linear, row 0 at the top."""
-    rays, camera, faces = 1 if scene.antialias is False else RAYS_A_SIDE, scene.camera, _faces(scene)
+    rays, camera, faces = (
+        1 if scene.antialias is False else RAYS_A_SIDE,
+        scene.camera,
+        _faces(scene),
+    )
     focal = float(1 / np.tan(np.deg2rad(float(camera.fov_y)) / 2))
     lens = lens_of(scene.size, focal, camera.near, camera.far)
     total = np.zeros((*scene.size, 3), np.float32)
@@ -64,9 +68,7 @@ def _faces(scene: Scene) -> _Faces:
     """The faces of the objects in the ordinary pass."""
     objects = [obj for obj in scene.objects if obj.in_ordinary]
     vertices, faces, owner = world_mesh(objects)
-    axes, eye = (
-        np.asarray(z, np.float64) for z in (scene.camera_axes(), scene.camera.position)
-    )
+    axes, eye = (np.asarray(z, np.float64) for z in (scene.camera_axes(), scene.camera.position))
     vertices = (vertices - eye) @ axes.T
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)

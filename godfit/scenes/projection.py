@@ -27,8 +27,7 @@ class Lens(NamedTuple):
 
 
 def lens_of(size: tuple[int, int], focal: float, near: float, far: float) -> Lens:
-    """The lens of a picture of ``size`` (height, width) with a focal length in half heights of it.
-    """
+    """The lens of a picture of ``size`` (height, width), its focal length in half heights of it."""
     height, width = size
     scale = 0.5 * height * focal
     return Lens(scale, scale, 0.5 * width, 0.5 * height, near, far)

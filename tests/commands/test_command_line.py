@@ -15,6 +15,7 @@ import pytest
 from godfit import InputError, read_image, write_image
 from godfit.__main__ import main
 from godfit.io.sidecar import read_sidecar
+from godfit.io.sources import shrink_mask
 from godfit.report.text import number
 from tests.support.paths import DATA_SYNTHETIC as FOLDER
 
@@ -86,6 +87,45 @@ def test_render_with_defaults_background_and_size(disc):
     assert (lit - under).mean() > 0.05
     assert main([*arguments, "--size", "64x32"]) == 0
     assert read_image(out).values.shape == (32, 64)
+
+
+def test_the_light_pass_has_the_shader_s_size_unless_something_else_is_known(disc):
+    mask, folder = str(disc.parent / "disc_mask.png"), disc.parent
+    low = shrink_mask(read_image(mask).values, 0.5)
+    write_image(folder / "low.png", low)
+
+    def drawn(*arguments):
+        assert main(["render", *arguments, "-o", str(folder / "a.npy")]) == 0
+        return read_image(folder / "a.npy").values
+
+    for shader in ("dawntime", "vesper"):
+        half = drawn(mask, "--shader", shader)
+        np.testing.assert_array_equal(half, drawn(mask, "--shader", shader, "--pass-scale", "0.5"))
+        whole = drawn(mask, "--shader", shader, "--pass-scale", "1")
+        assert np.abs(half - whole).max() > 0.02
+        small = drawn(str(folder / "low.png"), "--shader", shader, "--size", "256x256")
+        assert np.abs(small - half).max() < 0.01
+    given = ("--exposure", "0.1", "--decay", "0.97", "--density", "0.9", "--weight", "0.6")
+    plain = drawn(mask, *given)
+    np.testing.assert_array_equal(plain, drawn(mask, *given, "--pass-scale", "1"))
+
+
+def test_a_fit_of_a_smaller_light_pass_renders_again(disc):
+    """Whatever the shader's default, as fit.json has it, an older one without the scale as well."""
+    mask, folder = str(disc.parent / "disc_mask.png"), disc.parent
+    side_file = disc.with_suffix(".toml")
+    side_file.write_text(side_file.read_text() + "pass_scale = 0.5\n")
+    arguments = ["--fix", "density=0.9", "-q", "-o", str(folder / "out")]
+    assert main(["fit", str(disc), *arguments]) == 3
+    fitted = read_image(folder / "out" / "render.png").values
+    record = json.loads((folder / "out" / "fit.json").read_text())
+    assert (record["pass_scale"], record["pass_size"]) == (0.5, [128, 128])
+    old = {key: value for key, value in record.items() if key != "pass_scale"}
+    (folder / "out" / "old.json").write_text(json.dumps(old))
+    for name in ("fit.json", "old.json"):
+        params = ["--params", str(folder / "out" / name)]
+        assert main(["render", mask, "-o", str(folder / "again.png"), *params]) == 0
+        np.testing.assert_array_equal(read_image(folder / "again.png").values, fitted)
 
 
 def test_render_within_a_tolerance(disc, capsys):

@@ -18,5 +18,6 @@ import photographs
 import sand
 import screens
 import stages
+import steering
 
-__all__ = ["bodies", "canvases", "make", "photographs", "sand", "screens", "stages"]
+__all__ = ["bodies", "canvases", "make", "photographs", "sand", "screens", "stages", "steering"]
