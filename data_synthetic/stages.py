@@ -289,7 +289,7 @@ def flight(update: float) -> Stage:
         at = (out * np.cos(turn), out * np.sin(turn), 1.2)
         parts.append(ball(0.1 + 0.09 * (0.618 * k % 1), at=at, turn=(50 * k, 0, 0), subdivisions=1))
     return Stage(
-        parts, (0.6, 0.7, 6.4), (0, 0, 0), 1.0, VESPER_CLEAR, "vesper", 150,
+        parts, (0.6, 0.7, 6.4), (0, 0, 0), 0.85, VESPER_CLEAR, "vesper", 150,
         SOURCE_PARAMS, "A craft on a closed path and one that pursues it.",
         size=(128, 128), antialias=False, known=("object[0].position", "object[5].position"),
         albedo="#8088a0",
