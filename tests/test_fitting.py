@@ -1,5 +1,6 @@
 """The fit against truths that it has not seen: values, errors, bounds, what is left open."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -279,7 +280,22 @@ def test_a_light_pass_of_the_mask_s_size_is_kept(noise):
     assert all("own size explains the picture better" in note for note in result.notes)
 
 
-def test_only_what_is_open_is_tried(monkeypatch):
+SCENE = f"""
+[image]
+width = {SIZE}
+height = {SIZE}
+antialias = true
+[camera]
+position = [0, 0, 5]
+[light]
+position = [0, 1, -2]
+radius = 0.5
+[scattering]
+shader = "dawntime"
+"""
+
+
+def test_only_what_is_open_is_tried(monkeypatch, tmp_path):
     """Another size is tried for two shaders, and only where nothing says which one it is."""
     efforts = []
 
@@ -297,5 +313,12 @@ def test_only_what_is_open_is_tried(monkeypatch):
         options = {"mask": mask} | options
         with pytest.raises(godfit.InputError, match="stopped"):
             fit(target, options.pop("mask"), **options)
-    assert [effort.rival is not None for effort in efforts] == [True, True] + 5 * [False]
-    assert efforts[0].rival().picture.mask.shape == (SIZE // 2, SIZE // 2)
+    for text in (SCENE, SCENE + "pass_scale = 1"):
+        (tmp_path / "scene.toml").write_text(text)
+        with pytest.raises(godfit.InputError, match="stopped"):
+            godfit.fit(target, scene=tmp_path / "scene.toml")
+    tried = [effort.rival is not None for effort in efforts]
+    assert tried == [True, True, *5 * [False], True, False]
+    with jax.enable_x64(False):
+        for effort in (efforts[0], efforts[7]):
+            assert effort.rival().picture.mask.shape == (SIZE // 2, SIZE // 2)

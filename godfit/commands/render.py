@@ -210,24 +210,25 @@ def mitchell(picture: Picture, options: dict[str, Any]) -> np.ndarray:
     from godfit.runtime.device import on_device
     from godfit.scattering.radial import cheapest
     from godfit.scenes.ordinary import ordinary_pass
+    from godfit.scenes.scene import Scene
     from godfit.scenes.view import drawn_mask, resized
 
     scene, background = picture.scene, picture.background
     model = mitchell_at(picture.settings, given_options(options, PARAMETER_OPTIONS), picture.lights)
-    given = None if scene is not None else read_image(picture.mask).values
-    whole = scene.size if given is None else given.shape[:2]
+    drawn = read_image(picture.mask).values if scene is None else scene
+    whole = drawn.size if isinstance(drawn, Scene) else drawn.shape[:2]
     size = whole if background is None else background.shape[:2]
     if options["size"]:
         size = image_size(options["size"])
     picture.check_background(size)
     scale = pass_scale(picture.settings, model.convention, whole, size)
-    if given is not None:
-        occlusion = shrink_mask(given, scale)
-    else:
-        low = resized(scene, pass_size(whole, scale))
-        occlusion = drawn_mask(low, scene.antialias is not False)
+    if isinstance(drawn, Scene):
+        low = resized(drawn, pass_size(whole, scale))
+        occlusion = drawn_mask(low, drawn.antialias is not False)
         if options["composite"]:
-            background = ordinary_pass(resized(scene, size))
+            background = ordinary_pass(resized(drawn, size))
+    else:
+        occlusion = shrink_mask(drawn, scale)
     if not options["tolerance"]:
         return render(model, occlusion, background, size)
     low, back = on_device(occlusion), None if background is None else on_device(background)

@@ -298,7 +298,7 @@ def _setting(table: Table, key: str) -> Any:
             convention(value)
         except InputError as error:
             raise InputError(f"'{table.path}': scattering.{error}") from None
-    return value
+    return float(value) if SCATTERING_KEYS[key] is float else value
 
 
 def world_mesh(objects: Sequence[Object]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -433,10 +433,12 @@ def test_mask_of_a_scene_hard_and_smooth(torus, capsys):
 
 
 def test_a_scene_is_rendered_and_fitted(torus, capsys):
-    assert main(["render", "torus.toml", "-o", "frame.png", "--exposure", "0.1"]) == 0
+    arguments = ["render", "torus.toml", "-o", "frame.png", "--exposure", "0.1"]
+    assert main([*arguments, "--pass-scale", "1"]) == 0
     assert main(["fit", "frame.png", "--scene", "torus.toml", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["shader"], found["samples"]) == ("dawntime", 40)
+    assert (found["pass_scale"], found["pass_size"], found["notes"]) == (1, [96, 64], [])
     assert found["params"]["exposure"]["value"] == pytest.approx(0.1, rel=0.05)
     assert found["params"]["density"]["value"] == pytest.approx(0.8, abs=5e-3)
 
@@ -477,3 +479,28 @@ def test_bad_scene_options(torus, capsys, arguments, words):
     error = capsys.readouterr().err
     assert words in error
     assert not Path("frame.godfit").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["m.png"], "expected a SCENE.toml with it, got a mask"),
+        (["torus.toml", "--background", "m.png"], "expected no --background with it"),
+        (["torus.toml", "--model", "volume"], "expected --model mitchell with it, got volume"),
+    ],
+)
+def test_what_cannot_be_blended_with_an_ordinary_pass(torus, capsys, arguments, words):
+    write_image("m.png", np.zeros((64, 96)))
+    assert words in fails(capsys, 2, "render", *arguments, "--composite", "-o", "a.png")
+    assert not Path("a.png").exists()
+
+
+def test_the_ordinary_pass_is_as_large_as_the_picture(torus, capsys):
+    Path("torus.toml").write_text(SCENE + "[ordinary]\ncolour = '#000040'\n")
+    arguments = ["render", "torus.toml", "--composite", "--size", "192x128"]
+    assert main([*arguments, "-o", "a.png", "--exposure", "0"]) == 0
+    ordinary = np.round(read_image("a.png").values * 255)
+    assert ordinary.shape == (128, 192, 3)
+    assert ordinary[0, 0].tolist() == [0, 0, 64]
+    assert main([*arguments, "-o", "b.png", "--exposure", "0.01"]) == 0
+    assert (np.round(read_image("b.png").values * 255) - ordinary).mean() > 5
