@@ -110,7 +110,7 @@ def _doubted(
 
 def _of_better_size(own: Located, given: dict[str, float], effort: Effort) -> Located:
     """The point ``own`` of the mask's size, or that of the rival with a smaller light pass where
-    this is decidedly better; with a note where both were tried.
+    this is decidedly better; with a note where one of them is.
 
     Both are compared on the same few pixels, first from the point at hand, so that a picture of the
     mask's size that is merely noisy costs no second search.
@@ -119,22 +119,22 @@ def _of_better_size(own: Located, given: dict[str, float], effort: Effort) -> Lo
     if effort.rival is None or not problem.free.any() or found.settled.sigma <= WITHIN_ROUNDING:
         return own
     effort.report("a smaller light pass")
-    rival, start = effort.rival(), found.settled.coordinates
+    rival, start, chosen, note = effort.rival(), found.settled.coordinates, own, ""
     here, there = _on_few_pixels(problem, start), _on_few_pixels(rival, start)
-    better, chosen = there.log_likelihood > here.log_likelihood + DECISIVE_LOG_ODDS, own
-    if better:
+    if there.log_likelihood > here.log_likelihood + DECISIVE_LOG_ODDS:
         other = _located(rival, given, effort)
         there = _on_few_pixels(rival, other.found.settled.coordinates)
-        better = there.log_likelihood > here.log_likelihood + DECISIVE_LOG_ODDS
         # A smaller pass is smoother, so that it also hides a part of what other defects cause.
         explained = not multistart.doubtful(other.found)
-        better &= explained or there.sigma < multistart.REMEDIED * here.sigma
-        chosen = other if better else own
+        explained |= there.sigma < multistart.REMEDIED * here.sigma
+        if explained and there.log_likelihood > here.log_likelihood + DECISIVE_LOG_ODDS:
+            chosen, note = other, SMALLER_SIZE
+    elif here.log_likelihood > there.log_likelihood + DECISIVE_LOG_ODDS:
+        note = OWN_SIZE
     h, w = rival.picture.mask.shape[:2]
-    note = (SMALLER_SIZE if better else OWN_SIZE).format(
-        scale=h / problem.picture.mask.shape[0], w=w, h=h, own=here.sigma, other=there.sigma
-    )
-    return chosen._replace(found=chosen.found.replaced(notes=(note,)))
+    scale = h / problem.picture.mask.shape[0]
+    words = note.format(scale=scale, w=w, h=h, own=here.sigma, other=there.sigma)
+    return chosen._replace(found=chosen.found.replaced(notes=(words,) if note else ()))
 
 
 def _on_few_pixels(problem: Problem, start: np.ndarray) -> Settled:
