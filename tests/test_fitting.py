@@ -304,6 +304,8 @@ def test_only_what_is_open_is_tried(monkeypatch, tmp_path):
         raise godfit.InputError("stopped")
 
     monkeypatch.setattr("godfit.fitting.search", recorded)
+    drawn = lambda scene, antialias: np.ones(scene.size, np.float32)  # noqa: E731
+    monkeypatch.setattr("godfit.fitting.drawn_mask", drawn)
     target, mask = picture(3)
     low = mask[::2, ::2]
     for options in (
