@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from bodies import Part, Vector3, ball, box, floor, placed, ring, rod, strut
+from steering import Flight, flown
 
 
 @dataclass
@@ -32,17 +33,20 @@ class Stage:
     size: tuple[int, int] = (256, 256)
     antialias: bool = True
     known: tuple[str, ...] = ()
+    albedo: str | None = None
 
     def text(self) -> str:
         """The text of the scene file."""
         height, width = self.size
+        surface = {} if self.albedo is None else {"albedo": self.albedo}
+        settings = {"shader": self.shader, "samples": self.samples, "pass_scale": PASS_SCALE}
         tables = [
             ("[image]", {"width": width, "height": height, "antialias": self.antialias}),
             ("[camera]", {"position": self.camera, "fov_y": 75, "near": 0.1, "far": 350}),
             ("[light]", {"position": self.light, "radius": self.radius}),
             ("[background]", {"colour": self.clear}),
-            *(("[[object]]", part) for part in self.parts),
-            ("[scattering]", {"shader": self.shader, "samples": self.samples} | self.params),
+            *(("[[object]]", part | surface) for part in self.parts),
+            ("[scattering]", settings | self.params),
         ]
         return "\n".join(
             f"{head}\n" + "".join(f"{key} = {_toml(value)}\n" for key, value in table.items())
@@ -65,6 +69,16 @@ def mitchell_params(
 ) -> dict[str, float]:
     """Mitchell's four parameters by name, in the order of the manifest."""
     return {"exposure": exposure, "decay": decay, "density": density, "weight": weight}
+
+
+PASS_SCALE = 1
+"""Size of the light pass of the scenes. Both sources halve it; these targets are small already."""
+
+SOURCE_PARAMS = mitchell_params(0.05, 0.99, 0.8, 0.8)
+"""The parameters that DawnTime and Vesper start with."""
+
+VESPER_CLEAR = "#101010"
+"""The colour that Vesper clears its mask to."""
 
 
 def skull() -> Stage:
@@ -95,7 +109,7 @@ def skull() -> Stage:
     ]
     return Stage(
         placed(head, (0, 0.3, 2), (4, -6, 0), 1.35), (-0.04, -0.68, 6.97), (0, 0, 0), 1.15,
-        "#111111", "dawntime", 200, mitchell_params(0.05, 0.99, 0.8, 0.8),
+        "#111111", "dawntime", 200, SOURCE_PARAMS,
         "A skull before the light, which shows through sockets, nose and teeth.", antialias=False,
     )  # fmt: skip
 
@@ -120,9 +134,9 @@ def ship() -> Stage:
             hull.append(strut(0.045, (x, 0, 0), rim))
     return Stage(
         placed(hull, (0.1, 0.05, 3), (14, 42, 5), 1.2), (0.4, 0.6, 7), (-0.1, 0.1, 0), 1.3,
-        "#0c1418", "vesper", 150, mitchell_params(0.05, 0.99, 0.8, 0.8),
+        "#0c1418", "dawntime", 200, SOURCE_PARAMS,
         "A ship across the light: spokes and rings; the clear colour is not grey.",
-        size=(180, 320),
+        size=(180, 320), albedo="#a09880",
     )  # fmt: skip
 
 
@@ -196,9 +210,8 @@ def table() -> Stage:
     things = placed(things, (0, -0.3, 2.6), (0, 18, 0))
     things.append(floor(9, 4, at=(0, -1.86, 2.6)) | {"colour": "#010101"})
     return Stage(
-        things, (0.2, 0.25, 6.6), (-0.2, -0.5, -1), 1.35, "#0e0e0e", "mitchell", 100,
-        mitchell_params(0.06, 0.97, 0.9, 0.7),
-        "A table, and what stands on it, before a low light.",
+        things, (0.2, 0.25, 6.6), (-0.2, -0.5, -1), 1.35, VESPER_CLEAR, "vesper", 150,
+        SOURCE_PARAMS, "A table, and what stands on it, before a low light.", albedo="#9c6b42",
     )  # fmt: skip
 
 
@@ -222,48 +235,26 @@ def icosahedra(update: float) -> Stage:
     )  # fmt: skip
 
 
-LAP_UPDATES = 480
-"""Updates in which the craft flies once round its path."""
+FLIGHT_PATH = (
+    (0.6, 0.75, 3.2), (1.8, 0.5, 2.4), (1.3, -0.6, 1.8), (0.0, 0.2, 1.7), (-1.2, 0.85, 2.2),
+    (-1.9, 0.1, 3.0), (-0.9, -0.55, 3.5),
+)  # fmt: skip
+"""The points of the closed path that the leading craft follows, before the light."""
 
-SETTLING_LAPS = 4
-"""Laps of the pursuer that are not kept; after them every lap is the same."""
+NEAR_POINT = 0.4
+"""Distance from a point of the path at which the craft turns to the next."""
 
-PURSUER_TURN = 3.0
-"""Degrees that the pursuer's heading turns by at most in an update."""
+FLIGHT_SPEEDS = 1.5, 1.4
+"""Largest speeds of the leading craft and of its pursuer, a second."""
 
-PURSUER_GAP = 1.5
-"""Distance at which the pursuer is as fast as the leading craft; it is faster farther off."""
-
-
-def leader_position(update: float) -> np.ndarray:
-    """(3,) the position of the leading craft: a closed path round the light, through its gates."""
-    t = 2 * np.pi * update / LAP_UPDATES + 0.35
-    return np.array([1.9 * np.sin(t), 0.75 * np.sin(2 * t) + 0.15, 2.6 + 0.9 * np.cos(t + 0.6)])
+FLIGHT_UPDATES = 679
+"""Updates of a lap."""
 
 
 @functools.cache
-def pursuit() -> tuple[np.ndarray, np.ndarray]:
-    """(LAP_UPDATES, 3) positions and headings of the craft that follows by steering: its heading
-    turns towards the other by a few degrees an update at most, and it is faster the further it
-    lags."""
-    most = np.deg2rad(PURSUER_TURN)
-    pace = np.mean([
-        np.linalg.norm(leader_position(k + 1) - leader_position(k)) for k in range(LAP_UPDATES)
-    ])  # fmt: skip
-    position, heading = leader_position(-60), np.array([1.0, 0.0, 0.0])
-    positions, headings = np.empty((2, LAP_UPDATES, 3))
-    for k in range(-SETTLING_LAPS * LAP_UPDATES, LAP_UPDATES):
-        if k >= 0:
-            positions[k], headings[k] = position, heading
-        away = leader_position(k) - position
-        distance = np.linalg.norm(away)
-        angle = np.arccos(np.clip(heading @ away / distance, -1, 1))
-        # Along the great circle from one direction to the other.
-        share = min(1.0, most / max(angle, 1e-9))
-        heading = (1 - share) * heading + share * away / distance
-        heading /= np.linalg.norm(heading)
-        position = position + pace * np.clip(distance / PURSUER_GAP, 0.5, 1.5) * heading
-    return positions, headings
+def lap() -> Flight:
+    """One lap of both craft."""
+    return flown(FLIGHT_PATH, NEAR_POINT, FLIGHT_SPEEDS)
 
 
 def craft(at: np.ndarray, heading: np.ndarray, size: float) -> list[Part]:
@@ -283,14 +274,14 @@ def craft(at: np.ndarray, heading: np.ndarray, size: float) -> list[Part]:
 
 
 def flight(update: float) -> Stage:
-    """One craft on a closed path round the light, a second after it, and gates to fly through."""
-    k = int(update) % LAP_UPDATES
-    positions, headings = pursuit()
-    parts = craft(leader_position(k), leader_position(k + 1) - leader_position(k - 1), 0.85)
-    parts += craft(positions[k], headings[k], 0.65)
+    """One craft on a closed path before the light, a second in pursuit, gates, and rocks."""
+    flight = lap()
+    count = len(flight.leader)
+    k = int(update) % count
+    parts = craft(flight.leader[k], flight.leader_velocity[k], 0.85)
+    parts += craft(flight.pursuer[k], flight.pursuer_velocity[k], 0.65)
     for gate in (0.18, 0.7):
-        at = leader_position(gate * LAP_UPDATES)
-        onwards = leader_position(gate * LAP_UPDATES + 1) - at
+        at, onwards = (z[int(gate * count)] for z in (flight.leader, flight.leader_velocity))
         turn = (0.0, float(np.rad2deg(np.arctan2(onwards[0], onwards[2]))), 0.0)
         parts += placed([ring(0.55, 0.06, at=(0, 0, 0))], (at[0], at[1], at[2]), turn)
     for k in range(1, 12):  # rocks on a spiral
@@ -298,9 +289,10 @@ def flight(update: float) -> Stage:
         at = (out * np.cos(turn), out * np.sin(turn), 1.2)
         parts.append(ball(0.1 + 0.09 * (0.618 * k % 1), at=at, turn=(50 * k, 0, 0), subdivisions=1))
     return Stage(
-        parts, (0.6, 0.7, 6.4), (0, 0, 0), 1.0, "#0c0c0c", "vesper", 150,
-        mitchell_params(0.05, 0.982, 0.8, 0.7), "A craft on a closed path and one that pursues it.",
+        parts, (0.6, 0.7, 6.4), (0, 0, 0), 0.85, VESPER_CLEAR, "vesper", 150,
+        SOURCE_PARAMS, "A craft on a closed path and one that pursues it.",
         size=(128, 128), antialias=False, known=("object[0].position", "object[5].position"),
+        albedo="#8088a0",
     )  # fmt: skip
 
 
@@ -325,6 +317,6 @@ class Sequence(NamedTuple):
 
 SEQUENCES = {
     "icosahedra": Sequence(icosahedra, 2 * np.pi / ORBIT_RADIANS, 20, 60),
-    "flight": Sequence(flight, LAP_UPDATES, 10, LAP_UPDATES // 6),
+    "flight": Sequence(flight, FLIGHT_UPDATES, 10, FLIGHT_UPDATES // SEQUENCE_FRAMES),
 }
 """Scenes that move, by name."""

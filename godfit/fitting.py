@@ -25,6 +25,7 @@ from godfit.io.image import Image
 from godfit.io.sources import Source, occluder_mask, read_source, without_holes
 from godfit.models.base import AbstractModel
 from godfit.models.build import mitchell_template, staged_template, template
+from godfit.models.mitchell import Mitchell
 from godfit.report.result import FitResult
 from godfit.report.verdict import verdict
 from godfit.request import Request
@@ -97,7 +98,9 @@ def fit(
       `"mitchell"`; its own default number of samples.
     - `rays`: of the light in the plane, for each pixel, by default 64.
     - `lights`: how many lights are summed; they start in order from left to right.
-    - `pass_scale`: the size of the light pass against the mask's, at most 1.
+    - `pass_scale`: the size of the light pass against the mask's, at most 1. Where nothing gives it
+      and the shader has half-size passes by default, both sizes are tried on a target that 1 leaves
+      unexplained, and the better is kept.
     - `fov`, `distance`: of Hoffman-Preetham without a scene: the vertical field of view in degrees
       and the distance of visible surfaces, a number or (h, w), in metres or in units that `scale`
       converts to metres. With a scene, `distance` is that of the sky.
@@ -161,24 +164,13 @@ def found_for(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     its verdict."""
     if request.bare:
         return _fit_bare(request)
-    posed = _pose(request)
-    problem = posed.problem
-    effort = Effort(request.inquire, request.max_values, request.report)
-    opened = left_open(problem.model, problem)
-    notes, always_open = posed.notes, ()
-    if opened is not None:
-        value = posed.given.get(opened.name, problem.model.defaults[opened.name])
-        problem = problem.holding(opened.name, value)
-        if opened.note:
-            notes += (opened.note.format(value),)
-        else:
-            partners = [problem.index(partner) for partner in opened.partners]
-            always_open = ((problem.index(opened.name), partners),)
-    if posed.scene is not None:
-        picture = refined_mask(problem.model, problem, posed.scene, posed.given, request.report)
-        problem = problem.replaced(picture=picture)
-    found = search(problem.model, problem, posed.given, effort)
-    return found.replaced(opened=always_open + found.opened), notes, posed.images
+    posed = _ready(request)
+    effort = Effort(request.inquire, request.max_values, request.report, _rival(request, posed))
+    found = search(posed.problem.model, posed.problem, posed.given, effort)
+    found = found.replaced(
+        opened=posed.opened + found.opened, pass_scale=_scale_of(found, request, posed)
+    )
+    return found, posed.notes + found.notes, posed.images
 
 
 def _fit_bare(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image]]:
@@ -209,13 +201,14 @@ def _target_of(request: Request) -> Image:
 
 class Posed(NamedTuple):
     """A problem ready to be solved: parameters ``given`` by name, notes, the images by role without
-    their values, and the scene that the mask was drawn from."""
+    their values, and the scene that the mask was drawn from; ``opened`` as in ``Found``."""
 
     problem: Problem
     given: dict[str, float]
     notes: tuple[str, ...]
     images: dict[str, Image]
     scene: Scene | None
+    opened: tuple[tuple[int, list[int]], ...] = ()
 
 
 def _pose(request: Request) -> Posed:
@@ -267,6 +260,48 @@ def _mask_of(scene: Scene, model: AbstractModel, moves: bool) -> np.ndarray:
     if model.mask_is_sky:
         return drawn_mask(as_sky_mask(scene), scene.antialias is not False)
     return drawn_mask(scene, bool(scene.antialias) or moves)
+
+
+def _ready(request: Request) -> Posed:
+    """The problem of a request with what no picture determines held, and with the mask of a scene
+    refined by the target."""
+    posed = _pose(request)
+    problem, notes, always_open = posed.problem, posed.notes, ()
+    opened = left_open(problem.model, problem)
+    if opened is not None:
+        value = posed.given.get(opened.name, problem.model.defaults[opened.name])
+        problem = problem.holding(opened.name, value)
+        if opened.note:
+            notes += (opened.note.format(value),)
+        else:
+            partners = [problem.index(partner) for partner in opened.partners]
+            always_open = ((problem.index(opened.name), partners),)
+    if posed.scene is not None:
+        picture = refined_mask(problem.model, problem, posed.scene, posed.given, request.report)
+        problem = problem.replaced(picture=picture)
+    return posed._replace(problem=problem, notes=notes, opened=always_open)
+
+
+def _rival(request: Request, posed: Posed) -> Callable[[], Problem] | None:
+    """The same problem with a light pass of its shader's own scale, where nothing says which the
+    target has: neither an option nor a file, nor a mask smaller than the target."""
+    model, picture = posed.problem.model, posed.problem.picture
+    if not isinstance(model, Mitchell) or "pass_scale" in request.settings:
+        return None
+    scale = model.convention.pass_scale
+    if scale == 1 or picture.mask.shape[:2] != picture.size:
+        return None
+    return lambda: _ready(dataclasses.replace(request, pass_scale=scale)).problem
+
+
+def _scale_of(found: Found, request: Request, posed: Posed) -> float | None:
+    """The size of the fitted light pass relative to the mask or the scene; None in the plane."""
+    if request.canvas is not None:
+        return None
+    model, own = found.problem.model, posed.problem.picture.mask.shape[:2]
+    if isinstance(model, Mitchell) and found.problem.picture.mask.shape[:2] != own:
+        return model.convention.pass_scale
+    return request.settings.get("pass_scale", 1.0)
 
 
 def _concluded(

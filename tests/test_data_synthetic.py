@@ -1,6 +1,7 @@
 """The committed synthetic targets are what data_synthetic/make.py draws."""
 
 import json
+import re
 import tomllib
 
 import jax
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
+from godfit.__main__ import main
 from godfit.flatland import Sky, read_canvas, render
 from godfit.io.image import read_image, read_layer
 from godfit.io.sidecar import read_sidecar
@@ -17,7 +19,7 @@ from godfit.scenes.raster import on_screen
 from godfit.scenes.scene import read_scene
 from godfit.scenes.view import drawn_mask
 from tests.support.paths import DATA_SYNTHETIC as FOLDER
-from tests.support.synthetic import bodies, make, stages
+from tests.support.synthetic import bodies, make, stages, steering
 
 MANIFEST = json.loads((FOLDER / "manifest.json").read_text())
 TARGETS, SCENES, CANVASES, SCREENS = (
@@ -147,7 +149,8 @@ def test_scene_has_the_truth_and_gives_mask_and_target(name):
     assert scene.antialias is not None
     settings = dict(truth["params"])
     light = settings.pop("light_x"), settings.pop("light_y")
-    assert scene.settings == {key: truth[key] for key in ("shader", "samples")} | settings
+    known = {key: truth[key] for key in ("shader", "samples")} | {"pass_scale": 1}
+    assert scene.settings == known | settings
     np.testing.assert_allclose(on_screen(scene), light, atol=1e-8)
     for key, value in truth["known"].items():
         np.testing.assert_allclose(scene.value(key), value, atol=1e-9)
@@ -179,13 +182,47 @@ def test_scene_shows_rays_and_is_not_clipped(name):
 
 
 def test_scenes_are_not_all_alike():
-    assert {SCENES[name]["shader"] for name in SCENES} == {"dawntime", "vesper", "mitchell"}
+    assert {SCENES[name]["shader"] for name in SCENES} == {"dawntime", "vesper"}
     stills = [name for name in SCENES if name.startswith("stage_")]
     assert len({tuple(SCENES[name]["params"].values()) for name in stills}) == len(stills) == 5
     icosahedra = SCENES["icosahedra_0"]["params"]
     assert list(icosahedra.values())[:4] == [0.08, 0.975, 0.8, 0.6]
     assert SCENES["stage_warehouse"]["params"]["exposure"] == 0.2
     assert _levels(FOLDER / SCENES["stage_ship"]["mask"]).shape == (180, 320, 3)
+
+
+@pytest.mark.parametrize("name", ["stage_skull", "stage_ship", "stage_table", "flight_0"])
+def test_scenes_have_the_numbers_of_their_source(name):
+    vesper = name in ("stage_table", "flight_0")
+    truth, scene = SCENES[name], read_scene(FOLDER / SCENES[name]["scene"])
+    assert (truth["shader"], truth["samples"]) == (("dawntime", 200), ("vesper", 150))[vesper]
+    params = {"exposure": 0.05, "decay": 0.99, "density": 0.8, "weight": 0.8}
+    assert {key: truth["params"][key] for key in params} == params
+    if name != "stage_ship":
+        assert scene.background == ((16 if vesper else 17) / 255,) * 3
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_light_pass_is_the_composite_without_the_ordinary_pass(name, tmp_path):
+    """Through the command line, on a small copy."""
+    text = (FOLDER / SCENES[name]["scene"]).read_text()
+    text = re.sub(r"(width|height) = \d+\n", r"\1 = 32\n", text, count=2)
+    (tmp_path / "scene.toml").write_text(text)
+
+    def drawn(*options):
+        command = ["render", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "a.npy")]
+        with jax.enable_x64(False):
+            assert main([*command, *options]) == 0
+        return np.atleast_3d(read_image(tmp_path / "a.npy").values)
+
+    light, composite = drawn(), drawn("--composite")
+    ordinary = drawn("--composite", "--exposure", "0")
+    open_ = (composite < 1) & (light < 1)
+    assert open_.mean() > 0.8
+    off = np.where(open_, composite - ordinary - light, 0)
+    assert np.abs(off).max() < 1 / 255
+    assert np.mean(ordinary.max(-1) > 0.02) > 0.02
+    assert ordinary.max() < 0.9
 
 
 def test_icosahedron_moves_as_in_the_source():
@@ -200,31 +237,51 @@ def test_icosahedron_moves_as_in_the_source():
         )
 
 
-def test_flight_is_closed_and_pursued():
-    lap = stages.LAP_UPDATES
-    path = np.array([stages.leader_position(k) for k in range(lap + 1)])
-    places, headings = stages.pursuit()
-    np.testing.assert_allclose(path[0], path[-1], atol=1e-12)
-    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    assert steps.max() < 4 * steps.min()
-
-    # The pursuer's path is closed as well, and it turns and moves by little at a time.
-    np.testing.assert_allclose(np.linalg.norm(headings, axis=1), 1)
-    moved = np.linalg.norm(np.roll(places, -1, axis=0) - places, axis=1)
-    turned = np.arccos(np.clip((np.roll(headings, -1, axis=0) * headings).sum(1), -1, 1))
-    assert moved.max() < 1.51 * steps.mean()
-    assert np.rad2deg(turned.max()) < 3.01
-    distance = np.linalg.norm(places - path[:-1], axis=1)
+def test_flight_is_a_closed_path_through_its_points_and_is_pursued():
+    flight = stages.lap()
+    assert len(flight.leader) == len(flight.pursuer) == stages.FLIGHT_UPDATES
+    for places, speed in zip((flight.leader, flight.pursuer), stages.FLIGHT_SPEEDS, strict=True):
+        # The step from the last place to the first is one like all others.
+        steps = np.linalg.norm(np.roll(places, -1, axis=0) - places, axis=1)
+        assert steps.max() <= 1.01 * speed * steering.UPDATE_SECONDS
+        assert steps.min() > 0.3 * steps.max()
+    for point in stages.FLIGHT_PATH:
+        nearest = np.linalg.norm(flight.leader - point, axis=1).min()
+        assert nearest < stages.NEAR_POINT
+    distance = np.linalg.norm(flight.pursuer - flight.leader, axis=1)
     assert distance.min() > 0.4
-    assert distance.max() < 2
+    assert distance.max() < 2.5
+
+
+def test_the_pursuer_flies_to_where_its_target_will_be():
+    """After the time in which the two cover their distance; one that comes head on is met where it
+    is."""
+    leader = steering.Craft(np.array([0.0, 3, 0]), np.array([1.0, 0, 0]), 1.0)
+    pursuer = steering.Craft(np.zeros(3), np.array([0.0, 1, 0]), 2.0)
+    np.testing.assert_allclose(steering.predicted(pursuer, leader), [3 / (2 + 1), 3, 0])
+    coming = steering.Craft(np.array([0.0, 3, 0]), np.array([0.0, -1, 0]), 1.0)
+    np.testing.assert_allclose(steering.predicted(pursuer, coming), [0, 3, 0])
+
+
+def test_a_craft_keeps_its_speed_limit():
+    craft = steering.Craft(np.zeros(3), np.zeros(3), 1.5)
+    for _ in range(600):
+        craft.steer(np.array([1e3, 0, 0]))
+        assert np.linalg.norm(craft.velocity) <= 1.5 + 1e-12
+    np.testing.assert_allclose(craft.velocity, [1.5, 0, 0], atol=1e-3)
+    at, path = 0, np.array([[0.0, 0, 0], [1, 0, 0]])
+    assert steering.next_point(steering.Craft(path[1], path[0], 1.0), path, at, 0.5) == 0
+    assert steering.next_point(steering.Craft(path[1], path[0], 1.0), path, 1, 0.5) == 0
+    assert steering.next_point(steering.Craft(path[0], path[0], 1.0), path, at, 0.5) == 1
 
 
 def test_flight_truth_is_where_they_are():
+    flight = stages.lap()
     for i in range(6):
         truth = SCENES[f"flight_{i}"]
         leader, pursuer = (truth["known"][f"object[{k}].position"] for k in (0, 5))
-        np.testing.assert_allclose(leader, stages.leader_position(truth["update"]), atol=1e-5)
-        np.testing.assert_allclose(pursuer, stages.pursuit()[0][truth["update"]], atol=1e-5)
+        np.testing.assert_allclose(leader, flight.leader[truth["update"]], atol=1e-5)
+        np.testing.assert_allclose(pursuer, flight.pursuer[truth["update"]], atol=1e-5)
 
 
 @pytest.mark.parametrize("turn", [(10, 20, 30), (-170, 60, 5), (20, 90, 0), (0, -90, 35)])

@@ -2,6 +2,7 @@
 
 import re
 
+import jax
 import numpy as np
 import pytest
 
@@ -337,3 +338,78 @@ def test_a_model_reads_what_a_reader_returns():
     """The README's example: levels of a file, and the floats that some readers make of them."""
     target, mask = picture(3)
     assert fit(target / np.float32(255), mask / np.float32(255)).params == fit(target, mask).params
+
+
+def test_a_light_pass_of_half_the_size_is_found():
+    """The mask is as large as the target, whose light pass was drawn at half that size, stored in
+    bytes and read bilinearly."""
+    mask = picture(4)[1]
+    low = mask.reshape(SIZE // 2, 2, SIZE // 2, 2).mean((1, 3)) / 255
+    stored = random_targets.to_bytes(random_targets.render64(low, TRUTH | {"samples": SAMPLES}))
+    target = random_targets.to_bytes(random_targets.enlarged(stored / 255, SIZE))
+    result = fit(target, mask, inquire=False)
+    (note,) = result.notes
+    assert note.startswith("light pass: 0.5 of the mask's size, 48x48 pixels")
+    assert (result.pass_scale, result.record()["pass_size"]) == (0.5, [48, 48])
+    assert result.converged, result.message
+    off = errors(result)
+    for name, allowed in {"decay": 5e-4, "density": 5e-3, "light_x": 1e-3, "light_y": 1e-3}.items():
+        assert off[name] < allowed, name
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_a_light_pass_of_the_mask_s_size_is_kept(noise):
+    target, mask = picture(3, noise)
+    result, whole = fit(target, mask), fit(target, mask, pass_scale=1.0)
+    assert result.params == whole.params
+    assert result.pass_scale == whole.pass_scale == 1
+    assert whole.notes == ()
+    # Rounding alone is explained, and no other size is tried.
+    assert len(result.notes) == (noise > 0)
+    assert all("own size explains the picture better" in note for note in result.notes)
+
+
+SCENE = f"""
+[image]
+width = {SIZE}
+height = {SIZE}
+antialias = true
+[camera]
+position = [0, 0, 5]
+[light]
+position = [0, 1, -2]
+radius = 0.5
+[scattering]
+shader = "dawntime"
+"""
+
+
+def test_only_what_is_open_is_tried(monkeypatch, tmp_path):
+    """Another size is tried for two shaders, and only where nothing says which one it is."""
+    efforts = []
+
+    def recorded(model, problem, given, effort):
+        efforts.append(effort)
+        raise godfit.InputError("stopped")
+
+    monkeypatch.setattr("godfit.fitting.search", recorded)
+    drawn = lambda scene, antialias: np.ones(scene.size, np.float32)  # noqa: E731
+    monkeypatch.setattr("godfit.fitting.drawn_mask", drawn)
+    target, mask = picture(3)
+    low = mask[::2, ::2]
+    for options in (
+        {}, {"shader": "vesper"}, {"shader": "mitchell"}, {"shader": "pmndrs"}, {"mask": low},
+        {"pass_scale": 1.0}, {"pass_scale": 0.5},
+    ):  # fmt: skip
+        options = {"mask": mask} | options
+        with pytest.raises(godfit.InputError, match="stopped"):
+            fit(target, options.pop("mask"), **options)
+    for text in (SCENE, SCENE + "pass_scale = 1"):
+        (tmp_path / "scene.toml").write_text(text)
+        with pytest.raises(godfit.InputError, match="stopped"):
+            godfit.fit(target, scene=tmp_path / "scene.toml")
+    tried = [effort.rival is not None for effort in efforts]
+    assert tried == [True, True, *5 * [False], True, False]
+    with jax.enable_x64(False):
+        for effort in (efforts[0], efforts[7]):
+            assert effort.rival().picture.mask.shape == (SIZE // 2, SIZE // 2)

@@ -44,7 +44,10 @@ PICTURE = combined(
     SHADER,
     click.option("--rays", type=int, help="Flatland: rays a pixel. [default: 64]"),
     click.option(
-        "--pass-scale", type=float, help="Size of the light pass relative to the mask, at most 1."
+        "--pass-scale",
+        type=float,
+        help="Size of the light pass relative to the mask, at most 1. [default: 1; dawntime, "
+        "vesper: 1 or .5]",
     ),
     click.option("--transfer", type=click.Choice(["none", "srgb"]), help="Encoding of the target."),
     click.option("--fov", type=float, help="Vertical field of view in degrees, without a scene."),

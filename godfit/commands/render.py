@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
@@ -14,6 +15,7 @@ from godfit.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
+    from godfit.scattering.taps import Convention
     from godfit.scenes.scene import Scene
 
 FLATLAND_OPTIONS = (
@@ -139,12 +141,15 @@ def published_name(context: click.Context, option: click.Parameter, name: str | 
 )
 @with_light("Position of a light; repeat for several.")
 @click.option("--background", help="Ordinary pass to blend the light pass with.")
+@click.option(
+    "--composite", is_flag=True, help="Draw the ordinary pass of SCENE.toml, and blend it."
+)
 @click.option("--size", metavar="WxH", help="Size of the image. [default: the mask's]")
 @click.option(
     "--pass-scale",
     type=float,
-    default=1.0,
-    help="Size of the light pass relative to the mask, at most 1.",
+    help="Size of the light pass relative to the mask, at most 1. [default: as in the fit or the "
+    "scene; else dawntime, vesper: .5]",
 )
 @click.option(
     "--transfer", type=click.Choice(["none", "srgb"]), default="none", help="Encoding of the image."
@@ -165,6 +170,9 @@ def render(mask: str, output: str, transfer: str, bits: str, **options: Any) -> 
     that is 1 where the sky is visible; --model volume marches through the air of a SCENE.toml. Both
     need --e-sun and --scale. --model flatland takes a canvas, an RGBA image or a .toml of shapes.
     Its colour is emitted light and its alpha is opacity, so that black and opaque throws shadows.
+
+    --composite blends the light pass with the scene's objects in their own colours; with --exposure
+    0 as well, the ordinary pass comes out alone.
     """
     from godfit.io.image import write_image
     from godfit.report.record import read_params
@@ -225,26 +233,26 @@ def on_screen(
     from godfit.request import check_model
 
     scene, settings = None, {}
-    pass_scale = options["pass_scale"]
     if mask.endswith(".toml"):
         from godfit.scenes.scene import read_scene
         from godfit.scenes.view import light_on_screen
 
         scene = read_scene(mask)
         settings = {**scene.settings, **light_on_screen(scene)}
-        pass_scale = settings.pop("pass_scale", 1.0) if pass_scale == 1 else pass_scale
         transfer = settings.pop("transfer", "none") if transfer == "none" else transfer
     settings |= recorded
     light, kind = options["light"], options["model"] or settings.get("model", "mitchell")
     if kind != "volume":
         count = 1 if kind == "mitchell" else max(len(light.places), 1)
         check_model(kind, (), options["shader"], count, options["fov"], options["distance"])
-    settings |= given_options(options, ("shader", "samples"))
+    settings |= given_options(options, ("shader", "samples", "pass_scale"))
     background = None
     if options["background"] is not None:
         background = read_image(options["background"], transfer=transfer).values
+    if options["composite"]:
+        check_composite(scene, kind, background)
     draw = mitchell if kind == "mitchell" else daylight
-    picture = Picture(mask, scene, background, settings, light, pass_scale)
+    picture = Picture(mask, scene, background, settings, light)
     return draw(picture, options), transfer
 
 
@@ -257,7 +265,6 @@ class Picture(NamedTuple):
     background: np.ndarray | None
     settings: dict[str, Any]
     light: Lights
-    pass_scale: float
 
     def check_background(self, size: tuple[int, ...]) -> None:
         """Raise InputError where the ordinary pass is not as large as the picture."""
@@ -269,6 +276,30 @@ class Picture(NamedTuple):
             )
 
 
+def check_composite(scene: Scene | None, kind: str, background: np.ndarray | None) -> None:
+    """Raise UsageError for what cannot be blended with a scene's ordinary pass."""
+    if scene is None:
+        raise click.UsageError("--composite: expected a SCENE.toml with it, got a mask")
+    if kind != "mitchell":
+        raise click.UsageError(f"--composite: expected --model mitchell with it, got {kind}")
+    if background is not None:
+        raise click.UsageError("--composite: expected no --background with it, got one")
+
+
+def pass_scale(
+    settings: Mapping[str, Any], shader: Convention, whole: tuple[int, ...], size: tuple[int, ...]
+) -> float:
+    """The size of the light pass relative to a mask of ``whole`` (rows, columns) in a picture of
+    ``size``: that of the settings, else the shader's own. A mask smaller than the picture is a
+    light pass already."""
+    if "pass_scale" in settings:
+        return settings["pass_scale"]
+    if "pass_size" in settings:
+        # An older fit.json has the pass's own size alone.
+        return min(1.0, settings["pass_size"][0] / whole[0])
+    return 1.0 if whole[0] < size[0] else shader.pass_scale
+
+
 def mitchell(picture: Picture, options: dict[str, Any]) -> np.ndarray:
     """(h, w) or (h, w, 3) Mitchell's sum, whose light pass has an error of at most ``tolerance``
     levels. All lights are summed by one method, and their errors add up."""
@@ -277,24 +308,31 @@ def mitchell(picture: Picture, options: dict[str, Any]) -> np.ndarray:
 
     from godfit.inference.observation import render
     from godfit.io.image import read_image
-    from godfit.io.sources import shrink_mask
+    from godfit.io.sources import pass_size, shrink_mask
     from godfit.models.build import mitchell_at
     from godfit.runtime.device import on_device
     from godfit.scattering.radial import cheapest
-    from godfit.scenes.view import drawn_mask
+    from godfit.scenes.ordinary import ordinary_pass
+    from godfit.scenes.scene import Scene
+    from godfit.scenes.view import drawn_mask, resized
 
     scene, background = picture.scene, picture.background
-    if scene is None:
-        occlusion = read_image(picture.mask).values
-    else:
-        occlusion = drawn_mask(scene, scene.antialias is not False)
-    size = (occlusion if background is None else background).shape[:2]
+    drawn = read_image(picture.mask).values if scene is None else scene
+    whole = drawn.size if isinstance(drawn, Scene) else drawn.shape[:2]
+    size = whole if background is None else background.shape[:2]
     if options["size"]:
         size = image_size(options["size"])
     lights = picture.light.uv(size)
     model = mitchell_at(picture.settings, given_options(options, PARAMETER_OPTIONS), lights)
     picture.check_background(size)
-    occlusion = shrink_mask(occlusion, picture.pass_scale)
+    scale = pass_scale(picture.settings, model.convention, whole, size)
+    if isinstance(drawn, Scene):
+        low = resized(drawn, pass_size(whole, scale))
+        occlusion = drawn_mask(low, drawn.antialias is not False)
+        if options["composite"]:
+            background = ordinary_pass(resized(drawn, size))
+    else:
+        occlusion = shrink_mask(drawn, scale)
     if not options["tolerance"]:
         return render(model, occlusion, background, size)
     low, back = on_device(occlusion), None if background is None else on_device(background)

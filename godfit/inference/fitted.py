@@ -29,6 +29,8 @@ class Found:
     - ``starts_agreed`` is (agreeing, tried) where other starts were tried.
     - ``remedy`` is another transfer or mask under which the residual is far smaller.
     - ``scatter`` (p, p) is the covariance of the coordinates where it was simulated.
+    - ``notes`` are sentences for the user that are no doubts.
+    - ``pass_scale`` is the size of the light pass relative to the mask, None without one.
     """
 
     problem: Problem
@@ -43,6 +45,8 @@ class Found:
     starts_agreed: tuple[int, int] | None = None
     remedy: diagnostics.Suspect | None = None
     scatter: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
+    pass_scale: float | None = None
 
     def replaced(self, **fields: Any) -> Found:
         """The same with other ``fields``."""

@@ -40,11 +40,16 @@ several is ahead."""
 
 class Effort(NamedTuple):
     """The effort of a search: whether to ``inquire`` into what may be wrong, and how many values
-    (pixels times channels) are fitted; ``report`` is called with a line for every stage."""
+    (pixels times channels) are fitted; ``report`` is called with a line for every stage.
+
+    ``rival``, where there is one, makes the problem of the same pixels with a light pass of another
+    size. It is tried where the first problem leaves more than rounding.
+    """
 
     inquire: bool = True
     max_values: int = MAX_VALUES
     report: Report = lambda text: None
+    rival: Callable[[], Problem] | None = None
 
 
 @functools.singledispatch

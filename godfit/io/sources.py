@@ -80,11 +80,18 @@ def occluder_mask(occluder: Image, target: Image) -> np.ndarray:
 def shrink_mask(mask: np.ndarray, pass_scale: float) -> np.ndarray:
     """The mask (h, w, ...) averaged over cells to the light pass's size, ``pass_scale`` of its own.
 
+    Raises InputError as ``pass_size`` does.
+    """
+    size = pass_size(mask.shape[:2], pass_scale)
+    return mask if size == mask.shape[:2] else shrink(mask, size)
+
+
+def pass_size(size: tuple[int, ...], pass_scale: float) -> tuple[int, int]:
+    """Height and width of a light pass whose mask has ``size`` (height, width), in whole pixels.
+
     Raises InputError for a scale that is not above 0 and at most 1.
     """
     if not 0 < pass_scale <= 1:
         raise InputError(f"pass scale: expected a number above 0, at most 1, got {pass_scale:g}")
-    if pass_scale == 1:
-        return mask
-    h, w = (max(1, round(n * pass_scale)) for n in mask.shape[:2])
-    return shrink(mask, (h, w))
+    height, width = (max(1, round(n * pass_scale)) for n in size)
+    return height, width

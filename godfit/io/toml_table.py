@@ -159,7 +159,7 @@ class Table:
             raise self.error(key, expected, repr(value))
         return [[float(x), float(y)] for x, y in value]
 
-    def colour(self, key: str, default: str) -> Colour:
+    def colour(self, key: str, default: str | list[float]) -> Colour:
         """A colour (r, g, b), each from 0 to 1; "#rrggbb" and "#rgb" are bytes, not decoded."""
         expected = '"#rrggbb" or three numbers from 0 to 1'
         value = self.get(key, default, expected)

@@ -26,8 +26,10 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 """Version of fit.json's layout: it grows with every change that breaks readers."""
-MODEL_SETTINGS = ("model", "shader", "samples", "rays", "phase", "fov", "distance")
-"""Keys of fit.json that describe the model and are not fitted."""
+MODEL_SETTINGS = (
+    "model", "shader", "samples", "rays", "phase", "fov", "distance", "pass_scale",
+)  # fmt: skip
+"""Keys of fit.json that describe the model and its light pass and are not fitted."""
 
 
 def fit_record(result: FitResult, command: str = "") -> dict[str, Any]:
@@ -53,6 +55,7 @@ def fit_record(result: FitResult, command: str = "") -> dict[str, Any]:
         "log_likelihood": _finite(result.log_likelihood),
         "size": list(result.picture.size[::-1]),
         "pass_size": list(result.picture.mask.shape[1::-1]),
+        "pass_scale": result.pass_scale,
         "transfer": result.picture.transfer,
         "pixels": result.pixels,
         "pixels_effective": round(result.pixels_effective, 1),
@@ -113,10 +116,13 @@ def read_record(path: str) -> dict[str, Any]:
 
 
 def read_params(path: str) -> dict[str, Any]:
-    """Shader, samples and parameters of a fit.json."""
+    """Shader, samples, size of the light pass (``pass_size`` in rows and columns) and parameters of
+    a fit.json."""
     record = read_record(path)
+    low = _pair(record, "pass_size")
     return {
-        **{key: record[key] for key in MODEL_SETTINGS if key in record},
+        **({} if low is None else {"pass_size": low}),
+        **{key: record[key] for key in MODEL_SETTINGS if record.get(key) is not None},
         **{name: entry["value"] for name, entry in record["params"].items()},
     }
 

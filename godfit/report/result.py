@@ -40,7 +40,8 @@ class FitResult:
     ``residual_correlation`` is that of neighbouring residuals, near 0 for noise,
     ``residual_tails`` their kurtosis, near 3 for Gaussian noise. With ``simulated``, values and
     errors allow for the target's processing, see ``inference/indirect_inference.py``; the
-    likelihood does not.
+    likelihood does not. ``pass_scale`` is the size of the light pass relative to the mask that was
+    given, None without one.
     """
 
     converged: bool
@@ -70,6 +71,7 @@ class FitResult:
     seed: int = 0
     starts_agreed: tuple[int, int] | None = None
     simulated: bool = False
+    pass_scale: float | None = None
     inputs: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
 
     @property

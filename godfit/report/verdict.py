@@ -140,6 +140,7 @@ def verdict(
         seed=problem.seed,
         starts_agreed=found.starts_agreed,
         simulated=found.scatter is not None,
+        pass_scale=found.pass_scale,
         inputs=files,
     )
 

@@ -115,7 +115,8 @@ class Convention:
     A ``box`` convention runs a pass of equal weights for each of its steps (in texture coordinates)
     on 1 - M, one after another, and its light pass is E (1 - result). ``blend`` is how the light
     pass L is composited onto the background B: ``"add"`` is background_gain * B + L, ``"screen"``
-    is B + L - B L.
+    is B + L - B L. ``pass_scale`` is the size of the light pass relative to the picture, where
+    nothing else is known.
 
     ``defaults`` are the published default parameters by name, none where none are published.
     ``density_slider`` is where the slider of density ends in the published program, None where
@@ -136,6 +137,7 @@ class Convention:
     blend: Literal["add", "screen"] = "add"
     background_gain: float = 1.0
     density_slider: float | None = None
+    pass_scale: float = 1.0
     remarks: str = ""
 
     def taps(
@@ -192,6 +194,7 @@ CONVENTIONS: dict[str, Convention] = {
             order=0,
             defaults=_defaults(0.05, 0.99, 0.8, 0.8, 200),
             density_slider=1.0,
+            pass_scale=0.5,
             remarks=f"decay before use; light pass at half resolution by default; {EQUATION_4}",
         ),
         Convention(
@@ -200,6 +203,7 @@ CONVENTIONS: dict[str, Convention] = {
             drop=1,
             defaults=_defaults(0.05, 0.99, 0.8, 0.8, 150),
             density_slider=1.0,
+            pass_scale=0.5,
             remarks=f"decay after use; light pass at half resolution by default; {EQUATION_4}",
         ),
         Convention(

@@ -5,4 +5,4 @@ BACKGROUND_LABEL = 0
 LIGHT_LABEL = 1
 """Label of a pixel whose nearest surface is the light's sphere."""
 FIRST_OBJECT_LABEL = 2
-"""Label of the first object; object i has this plus i."""
+"""Label of the first object of the mask; number i of these has this plus i."""

@@ -26,11 +26,22 @@ class Lens(NamedTuple):
     far: float
 
 
+def lens_of(size: tuple[int, int], focal: float, near: float, far: float) -> Lens:
+    """The lens of a picture of ``size`` (height, width), its focal length in half heights of it."""
+    height, width = size
+    scale = 0.5 * height * focal
+    return Lens(scale, scale, 0.5 * width, 0.5 * height, near, far)
+
+
 class Sphere(NamedTuple):
     """The light in camera space: centre (3,) float64 and radius, in the scene's unit."""
 
     centre: np.ndarray
     radius: float
+
+
+NO_SPHERE = Sphere(np.array([0.0, 0.0, 1.0]), 0.0)
+"""A sphere behind the view that covers nothing."""
 
 
 class CameraMesh(NamedTuple):

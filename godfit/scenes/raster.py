@@ -49,7 +49,7 @@ _callback_lock = threading.Lock()
 
 
 class Visible(NamedTuple):
-    """Nearest surface at the pixel centres: label (h, w), 0 background, 1 light, 2 + i object i;
+    """Nearest surface at the pixel centres: label (h, w), 0 background, 1 light, 2 + i occluder i;
     and depth (h, w) along the view, in the scene's unit, infinite where there is none."""
 
     label: Int[Array, "h w"]
@@ -153,7 +153,7 @@ def coverage(scene: Scene, *, still: bool = False) -> Float[Array, "h w colours"
     which = (count > sizes[0]).astype(jnp.int32) + (count > sizes[1])
     programs = [functools.partial(add_edge_motion, n) for n in sizes]
     share = jax.lax.switch(which, programs, share, view)
-    if scene.objects:
+    if scene.occluders:
         share = jax.lax.cond(piece_count > 0, add_line_motion, lambda share, _: share, share, view)
     return share.reshape(height, width, colours)
 
@@ -182,7 +182,7 @@ class _View(NamedTuple):
 
 
 def _colour_by_label(scene: Scene):
-    return [scene.background, scene.light.colour, *(obj.colour for obj in scene.objects)]
+    return [scene.background, scene.light.colour, *(obj.colour for obj in scene.occluders)]
 
 
 def _colour_indices(scene: Scene) -> tuple[int, ...]:
@@ -204,7 +204,7 @@ def _view(scene: Scene) -> _View:
 
     centre = to_camera(scene.light.position[None])[0]
     vertices, faces, labels, edges, first = [], [], [], [], 0
-    for i, obj in enumerate(scene.objects):
+    for i, obj in enumerate(scene.occluders):
         vertices.append(to_camera(obj.world()))
         faces.append(obj.faces + first)
         # -1 is no vertex.
@@ -305,9 +305,7 @@ def _draw(size: tuple[int, int], near: float, far: float, view: _View) -> _Drawi
             "light: expected it before the camera, got a place behind it, where its rays would be "
             "mirrored; move the camera or the light"
         )
-    height, width = size
-    scale = 0.5 * height * float(focal)
-    lens = projection.Lens(scale, scale, 0.5 * width, 0.5 * height, near, far)
+    lens = projection.lens_of(size, float(focal), near, far)
     mesh = projection.CameraMesh(vertices.astype(np.float64), faces, face_label)
     triangles, cuts = projection.screen_triangles(mesh, lens, size)
     scene = projection.ProjectedScene(triangles, sphere, lens)

@@ -3,6 +3,10 @@
 Conventions are three.js's: right-handed, y up, the view of the camera is along its own -z,
 rotations are Euler angles in the order XYZ (the matrix Rx Ry Rz), fields of view are vertical.
 Colours are the bytes of the picture, not decoded: "#111111" is 17/255.
+
+A scene is drawn twice, as in three.js with layers: the mask, in which objects have their `colour`
+and the light is a sphere, and the ordinary pass, in which objects have their `albedo` and the light
+lights them. An object can be in one of the two alone.
 """
 
 from __future__ import annotations
@@ -11,9 +15,9 @@ import dataclasses
 import difflib
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -34,6 +38,8 @@ LIGHT_FIELDS = ("position", "radius")
 """Fields of a light that a fit can free."""
 OBJECT_FIELDS = ("position", "rotation", "scale")
 """Fields of an object that a fit can free."""
+GREY = (0.5, 0.5, 0.5)
+"""Albedo of an object that has none: it leaves room for the light pass."""
 MAX_PICTURE_SIDE = 16384
 """Largest height and width of a picture, in pixels: a mask of that side takes a gigabyte."""
 SCATTERING_KEYS: dict[str, type] = {
@@ -85,6 +91,9 @@ class Object(eqx.Module):
     rotation: Float[Array, "3"]
     scale: Float[Array, ""]
     colour: Colour = eqx.field(static=True)
+    albedo: Colour = eqx.field(static=True, default=GREY)
+    in_mask: bool = eqx.field(static=True, default=True)
+    in_ordinary: bool = eqx.field(static=True, default=True)
 
     def world(self) -> Float[Array, "v 3"]:
         """The vertices in the world."""
@@ -93,10 +102,20 @@ class Object(eqx.Module):
         return self.position[None] + (self.scale * self.vertices) @ rotation.T
 
 
+class Shading(NamedTuple):
+    """How the ordinary pass is lit: the ``colour`` that it is cleared to, and what an object of
+    albedo 1 gets from everywhere, ``ambient``, and from the light where it faces it, ``diffuse``.
+    """
+
+    colour: Colour = (0.0, 0.0, 0.0)
+    ambient: float = 0.2
+    diffuse: float = 0.8
+
+
 class Scene(eqx.Module):
     """A scene whose mask can be drawn. ``size`` is (height, width) in pixels; ``antialias`` is None
-    where the file leaves it open; ``scattering`` holds the shader's settings; ``notes`` are for the
-    user."""
+    where the file leaves it open; ``scattering`` holds the shader's settings; ``shading`` is that
+    of the ordinary pass; ``notes`` are for the user."""
 
     camera: Camera
     light: Light
@@ -106,6 +125,12 @@ class Scene(eqx.Module):
     antialias: bool | None = eqx.field(static=True, default=None)
     scattering: tuple[tuple[str, Any], ...] = eqx.field(static=True, default=())
     notes: tuple[str, ...] = eqx.field(static=True, default=())
+    shading: Shading = eqx.field(static=True, default=Shading())
+
+    @property
+    def occluders(self) -> list[Object]:
+        """The objects of the mask."""
+        return [obj for obj in self.objects if obj.in_mask]
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -173,7 +198,9 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
     path = Path(path)
     root = Table.read(path, "a scene file")
     image, camera, light = (root.table(key) for key in ("image", "camera", "light"))
-    background, scattering = root.table("background", {}), root.table("scattering", {})
+    background, scattering, ordinary = (
+        root.table(key, {}) for key in ("background", "scattering", "ordinary")
+    )
     parts = [_object(Table(path, f"object[{i}]", t)) for i, t in enumerate(root.tables("object"))]
     root.finish()
     scattering.may_have(*SCATTERING_KEYS)
@@ -197,8 +224,13 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
         image.switch("antialias"),
         tuple((key, _setting(scattering, key)) for key in list(scattering.data)),
         tuple(note for _, notes in parts for note in notes),
+        Shading(
+            ordinary.colour("colour", "#000000"),
+            _share(ordinary, "ambient", Shading().ambient),
+            _share(ordinary, "diffuse", Shading().diffuse),
+        ),
     )
-    for table in (image, camera, light, background, scattering):
+    for table in (image, camera, light, background, scattering, ordinary):
         table.finish()
     notes = _check_scene(path, scene)
     notes += tuple(f"the camera is inside object[{i}]" for i in _objects_around_camera(scene))
@@ -233,9 +265,22 @@ def _object(table: Table) -> tuple[Object, tuple[str, ...]]:
         _array(table.three("rotation", [0.0, 0.0, 0.0])),
         _array(table.number("scale", 1.0, above=0.0)),
         table.colour("colour", "#000000"),
+        table.colour("albedo", list(GREY)),
+        table.switch("mask") is not False,
+        table.switch("ordinary") is not False,
     )
     table.finish()
+    if not (obj.in_mask or obj.in_ordinary):
+        raise table.error("mask", "true here or for ordinary", "false for both; leave it out")
     return obj, shape.notes
+
+
+def _share(table: Table, key: str, default: float) -> float:
+    """A number from 0 to 1."""
+    value = table.number(key, default)
+    if not 0 <= value <= 1:
+        raise table.error(key, "a number from 0 to 1", repr(value))
+    return value
 
 
 def _setting(table: Table, key: str) -> Any:
@@ -253,7 +298,19 @@ def _setting(table: Table, key: str) -> Any:
             convention(value)
         except InputError as error:
             raise InputError(f"'{table.path}': scattering.{error}") from None
-    return value
+    return float(value) if SCATTERING_KEYS[key] is float else value
+
+
+def world_mesh(objects: Sequence[Object]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices (v, 3) float64 of objects in the world, faces (f, 3) int32, and the place in
+    ``objects`` (f,) int32 of the one that each face belongs to."""
+    parts = [np.asarray(obj.world(), np.float64) for obj in objects]
+    faces = [np.asarray(obj.faces, np.int32) for obj in objects]
+    offsets = np.cumsum([0, *map(len, parts)])
+    moved = [f + np.int32(o) for f, o in zip(faces, offsets[:-1], strict=True)]
+    owner = np.repeat(np.arange(len(objects), dtype=np.int32), list(map(len, faces)))
+    none = np.zeros((0, 3))
+    return np.concatenate([*parts, none]), np.concatenate([*moved, none.astype(np.int32)]), owner
 
 
 def _array(value: Any) -> Array:

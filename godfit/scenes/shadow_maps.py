@@ -13,8 +13,8 @@ import numpy as np
 
 from godfit.runtime.numba_jit import jit
 from godfit.scenes.labels import FIRST_OBJECT_LABEL
-from godfit.scenes.projection import CameraMesh, Lens, ProjectedScene, Sphere, screen_triangles
-from godfit.scenes.scene import Scene
+from godfit.scenes.projection import NO_SPHERE, CameraMesh, Lens, ProjectedScene, screen_triangles
+from godfit.scenes.scene import Scene, world_mesh
 from godfit.scenes.visibility import label_pixels, map_row_bands
 
 Source = Literal["sun", "lamp"]
@@ -29,8 +29,6 @@ LAMP_NEAR = 1e-6
 """Near plane of a lamp's views, in distances of the farthest vertex."""
 SHADOW_BISECTIONS = 10
 """Bisections for the place on a ray where light and shade change: 1/1024 of a step."""
-NO_SPHERE = Sphere(np.array([0.0, 0.0, 1.0]), 0.0)
-"""A sphere behind the view that covers nothing: the source does not stand in its own view."""
 
 
 class ShadowMap(NamedTuple):
@@ -70,22 +68,10 @@ def _view_axes(forward: np.ndarray) -> np.ndarray:
     return np.stack([right, np.cross(back, right), back])
 
 
-def _world_mesh(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (v, 3) float64 and faces (f, 3) int32 of all objects, in the world."""
-    parts = [np.asarray(obj.world(), np.float64) for obj in scene.objects]
-    vertices = np.concatenate([*parts, np.zeros((0, 3))])
-    offsets = np.cumsum([0, *(len(part) for part in parts)])
-    faces = np.concatenate(
-        [np.zeros((0, 3), np.int32)]
-        + [np.asarray(obj.faces) + o for obj, o in zip(scene.objects, offsets[:-1], strict=True)]
-    ).astype(np.int32)
-    return vertices, faces
-
-
 def shadow_map(scene: Scene, source: Source, resolution: int) -> ShadowMap:
     """The shadow map of a scene's light, with ``resolution`` pixels a side: one view for the sun,
     the six faces of a cube for a lamp."""
-    vertices, faces = _world_mesh(scene)
+    vertices, faces, _ = world_mesh(scene.occluders)
     lamp = np.asarray(scene.light.position, np.float64)
     half = resolution / 2
     if source == "sun":

@@ -11,6 +11,7 @@ import numpy as np
 
 from godfit.errors import InputError
 from godfit.io.image import Image
+from godfit.io.sources import pass_size
 from godfit.scenes.raster import Visible, on_screen, rasterise, visible
 from godfit.scenes.scene import Scene
 
@@ -37,17 +38,13 @@ def scene_at_pass_size(scene: Scene, target: Image, pass_scale: float) -> Scene:
     """The scene at the size of the light pass: the smaller of the scene's own size and the
     target's, times ``pass_scale``. Raises InputError for a ``pass_scale`` outside (0, 1], and for a
     scene with another aspect than the target's."""
-    if not 0 < pass_scale <= 1:
-        raise InputError(f"pass scale: expected a number above 0, at most 1, got {pass_scale:g}")
     (h, w), (height, width) = scene.size, target.values.shape[:2]
     if abs(w * height - h * width) > max(width, height):
         raise InputError(
             f"scene: expected the target's aspect {width}:{height}, got [image] {w}x{h}; "
             "set width and height to the target's"
         )
-    if h > height:
-        h, w = height, width
-    return resized(scene, (max(1, round(h * pass_scale)), max(1, round(w * pass_scale))))
+    return resized(scene, pass_size((height, width) if h > height else (h, w), pass_scale))
 
 
 def as_sky_mask(scene: Scene) -> Scene:

@@ -16,7 +16,8 @@ import numpy as np
 from scipy import sparse
 
 from godfit.inference.observation import Picture
-from godfit.inference.problem import Problem
+from godfit.inference.problem import SEARCH_PIXELS, Problem
+from godfit.inference.settle import settle
 from godfit.inference.solver import solve, tangent_at
 from godfit.inference.strategy import Report, refined_mask, starting_points
 from godfit.io.filters import shrink
@@ -84,6 +85,7 @@ def settled_edges(
     if model.convention.box:
         return picture
     uncertain = _UncertainEdges.of(np.atleast_3d(picture.mask), np.atleast_3d(smooth.picture.mask))
+    as_drawn = problem
     for _ in range(EDGE_ROUNDS):
         picture = problem.picture
         z, _ = _solved_off_streaks(problem, z)
@@ -91,7 +93,11 @@ def settled_edges(
         if (mask == picture.mask).all():
             break
         problem = problem.replaced(picture=dataclasses.replace(picture, mask=mask))
-    return problem.picture
+    drawn, settled = (
+        settle(z, one, one.observe(SEARCH_PIXELS))[0].log_likelihood for one in (as_drawn, problem)
+    )
+    # Where most of the rays near the light are clipped, streaks can be mistaken for each other.
+    return problem.picture if settled > drawn else as_drawn.picture
 
 
 def _sharp(problem: Problem, start: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ import pytest
 from godfit import InputError, read_image, write_image
 from godfit.__main__ import main
 from godfit.io.sidecar import read_sidecar
+from godfit.io.sources import shrink_mask
 from godfit.report.text import number
 from tests.support.paths import DATA_SYNTHETIC as FOLDER
 
@@ -86,6 +87,45 @@ def test_render_with_defaults_background_and_size(disc):
     assert (lit - under).mean() > 0.05
     assert main([*arguments, "--size", "64x32"]) == 0
     assert read_image(out).values.shape == (32, 64)
+
+
+def test_the_light_pass_has_the_shader_s_size_unless_something_else_is_known(disc):
+    mask, folder = str(disc.parent / "disc_mask.png"), disc.parent
+    low = shrink_mask(read_image(mask).values, 0.5)
+    write_image(folder / "low.png", low)
+
+    def drawn(*arguments):
+        assert main(["render", *arguments, "-o", str(folder / "a.npy")]) == 0
+        return read_image(folder / "a.npy").values
+
+    for shader in ("dawntime", "vesper"):
+        half = drawn(mask, "--shader", shader)
+        np.testing.assert_array_equal(half, drawn(mask, "--shader", shader, "--pass-scale", "0.5"))
+        whole = drawn(mask, "--shader", shader, "--pass-scale", "1")
+        assert np.abs(half - whole).max() > 0.02
+        small = drawn(str(folder / "low.png"), "--shader", shader, "--size", "256x256")
+        assert np.abs(small - half).max() < 0.01
+    given = ("--exposure", "0.1", "--decay", "0.97", "--density", "0.9", "--weight", "0.6")
+    plain = drawn(mask, *given)
+    np.testing.assert_array_equal(plain, drawn(mask, *given, "--pass-scale", "1"))
+
+
+def test_a_fit_of_a_smaller_light_pass_renders_again(disc):
+    """Whatever the shader's default, as fit.json has it, an older one without the scale as well."""
+    mask, folder = str(disc.parent / "disc_mask.png"), disc.parent
+    side_file = disc.with_suffix(".toml")
+    side_file.write_text(side_file.read_text() + "pass_scale = 0.5\n")
+    arguments = ["--fix", "density=0.9", "-q", "-o", str(folder / "out")]
+    assert main(["fit", str(disc), *arguments]) == 3
+    fitted = read_image(folder / "out" / "render.png").values
+    record = json.loads((folder / "out" / "fit.json").read_text())
+    assert (record["pass_scale"], record["pass_size"]) == (0.5, [128, 128])
+    old = {key: value for key, value in record.items() if key != "pass_scale"}
+    (folder / "out" / "old.json").write_text(json.dumps(old))
+    for name in ("fit.json", "old.json"):
+        params = ["--params", str(folder / "out" / name)]
+        assert main(["render", mask, "-o", str(folder / "again.png"), *params]) == 0
+        np.testing.assert_array_equal(read_image(folder / "again.png").values, fitted)
 
 
 def test_render_within_a_tolerance(disc, capsys):
@@ -468,10 +508,12 @@ def test_mask_of_a_scene_hard_and_smooth(torus, capsys):
 
 
 def test_a_scene_is_rendered_and_fitted(torus, capsys):
-    assert main(["render", "torus.toml", "-o", "frame.png", "--exposure", "0.1"]) == 0
+    arguments = ["render", "torus.toml", "-o", "frame.png", "--exposure", "0.1"]
+    assert main([*arguments, "--pass-scale", "1"]) == 0
     assert main(["fit", "frame.png", "--scene", "torus.toml", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["shader"], found["samples"]) == ("dawntime", 40)
+    assert (found["pass_scale"], found["pass_size"], found["notes"]) == (1, [96, 64], [])
     assert found["params"]["exposure"]["value"] == pytest.approx(0.1, rel=0.05)
     assert found["params"]["density"]["value"] == pytest.approx(0.8, abs=5e-3)
 
@@ -512,3 +554,28 @@ def test_bad_scene_options(torus, capsys, arguments, words):
     error = capsys.readouterr().err
     assert words in error
     assert not Path("frame.godfit").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["m.png"], "expected a SCENE.toml with it, got a mask"),
+        (["torus.toml", "--background", "m.png"], "expected no --background with it"),
+        (["torus.toml", "--model", "volume"], "expected --model mitchell with it, got volume"),
+    ],
+)
+def test_what_cannot_be_blended_with_an_ordinary_pass(torus, capsys, arguments, words):
+    write_image("m.png", np.zeros((64, 96)))
+    assert words in fails(capsys, 2, "render", *arguments, "--composite", "-o", "a.png")
+    assert not Path("a.png").exists()
+
+
+def test_the_ordinary_pass_is_as_large_as_the_picture(torus, capsys):
+    Path("torus.toml").write_text(SCENE + "[ordinary]\ncolour = '#000040'\n")
+    arguments = ["render", "torus.toml", "--composite", "--size", "192x128"]
+    assert main([*arguments, "-o", "a.png", "--exposure", "0"]) == 0
+    ordinary = np.round(read_image("a.png").values * 255)
+    assert ordinary.shape == (128, 192, 3)
+    assert ordinary[0, 0].tolist() == [0, 0, 64]
+    assert main([*arguments, "-o", "b.png", "--exposure", "0.01"]) == 0
+    assert (np.round(read_image("b.png").values * 255) - ordinary).mean() > 5

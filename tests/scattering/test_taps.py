@@ -46,6 +46,40 @@ def test_convention_is_its_formula(shader, samples):
     np.testing.assert_allclose(render(shader, *point, samples), expected, rtol=1e-12, atol=1e-14)
 
 
+def fragment(shader, mask, point, light, samples):
+    """The loop of a fragment shader, statement by statement, for every pixel at once: DawnTime
+    lowers its running decay before a tap (slide "Volumetric scattering fragment shader"), Vesper
+    after it (slide "LightScatteringShader")."""
+    exposure, decay, density, weight = point
+    u, v = oracle.pixel_centres(*mask.shape)
+    delta_u, delta_v = (
+        (x - to) * (1 / samples) * density for x, to in zip((u, v), light, strict=True)
+    )
+    colour, illumination_decay = oracle.texture(mask, u, v), 1.0
+    for _ in range(1, samples):
+        u, v = u - delta_u, v - delta_v
+        sample = oracle.texture(mask, u, v)
+        if shader == "dawntime":
+            illumination_decay *= decay
+        colour = colour + sample * illumination_decay * weight
+        if shader == "vesper":
+            illumination_decay *= decay
+    return colour * exposure
+
+
+@pytest.mark.parametrize("shader", ["dawntime", "vesper"])
+def test_slides_shaders_statement_by_statement(shader):
+    point = tuple(CONVENTIONS[shader].defaults.values())[:4]
+    expected = fragment(shader, MASK, point, LIGHT, 30)
+    np.testing.assert_allclose(render(shader, *point, 30), expected, rtol=1e-12)
+
+
+def test_only_dawntime_and_vesper_halve_their_light_pass():
+    halved = {name for name, shader in CONVENTIONS.items() if shader.pass_scale == 0.5}
+    assert halved == {"dawntime", "vesper"}
+    assert {shader.pass_scale for shader in CONVENTIONS.values()} == {0.5, 1.0}
+
+
 def test_every_convention_has_a_formula_here():
     assert set(CONVENTIONS) == {*oracle.FACTORS, "three"}
 

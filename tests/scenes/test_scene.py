@@ -109,13 +109,14 @@ def test_everything_that_a_file_can_say(tmp_path):
         write(
             tmp_path,
             'mesh = "a.gltf"\nposition = [1, 2, 3]\nrotation = [10, 20, 30]\nscale = 2\n'
-            "colour = [0, 0.5, 1]",
-            'primitive = "plane"\nwidth = 2\nheight = 4',
+            "colour = [0, 0.5, 1]\nalbedo = [1, 0.5, 0]\nmask = false",
+            'primitive = "plane"\nwidth = 2\nheight = 4\nordinary = false',
             image="width = 8\nheight = 6\nantialias = false",
             camera="position = [0, 0, 5]\ntarget = [0, 1, 0]\nup = [1, 0, 0]\nfov_y = 40\n"
             "near = 1\nfar = 9",
             light='position = [0, 0, 0]\nradius = 1\ncolour = "#fff"',
             background='colour = "#111111"',
+            ordinary='colour = "#000033"\nambient = 0\ndiffuse = 1',
             scattering='shader = "dawntime"\nsamples = 200\npass_scale = 0.5\ntransfer = "srgb"\n'
             "exposure = 0.1\ndecay = 1\ndensity = 0.9\nweight = 2",
         )
@@ -124,6 +125,10 @@ def test_everything_that_a_file_can_say(tmp_path):
     np.testing.assert_array_equal(first.position, [1, 2, 3])
     np.testing.assert_array_equal(first.rotation, [10, 20, 30])
     assert (float(first.scale), first.colour, second.colour) == (2, (0, 0.5, 1), (0, 0, 0))
+    assert (first.albedo, second.albedo) == ((1, 0.5, 0), (0.5, 0.5, 0.5))
+    assert (first.in_mask, first.in_ordinary) == (False, True)
+    assert (second.in_mask, second.in_ordinary) == (True, False)
+    assert scene.shading == ((0, 0, 0.2), 0, 1)
     np.testing.assert_array_equal(np.ptp(second.vertices, axis=0), [2, 4, 0])
     assert scene.background == (17 / 255,) * 3  # not decoded as sRGB
     assert scene.antialias is False
@@ -184,6 +189,8 @@ def test_everything_that_a_file_can_say(tmp_path):
         ({"light": SECTIONS["light"] + "\ncolour = [0, 0, 2]"}, ("light.colour", "0 to 1")),
         ({"light": SECTIONS["light"] + "\ncolor = [0, 0, 1]"}, ("light.color", "'colour'")),
         ({"background": "colour = 1"}, ("background.colour", "got 1")),
+        ({"ordinary": "ambient = 1.5"}, ("ordinary.ambient", "from 0 to 1", "got 1.5")),
+        ({"ordinary": "difuse = 1"}, ("ordinary.difuse", "did you mean 'diffuse'?")),
         ({"lights": "a = 1"}, ("lights", "did you mean 'light'?")),
         ({"object": 'primitive = "box"'}, ("object", "[[object]]")),
         ({"scattering": 'shader = "daentime"'}, ("scattering.shader", "'dawntime'?")),
@@ -221,6 +228,12 @@ def test_a_wrong_file_is_refused_in_one_line(tmp_path, sections, parts):
         ('primitive = "box"\nscale = 0', ("object[1].scale", "above 0")),
         ('primitive = "box"\nrotate = [0, 0, 0]', ("object[1].rotate", "'rotation'")),
         ('primitive = "box"\ncolour = "#0000"', ("object[1].colour", "#0000")),
+        ('primitive = "box"\nalbedo = 0.5', ("object[1].albedo", "got 0.5")),
+        ('primitive = "box"\nmask = 0', ("object[1].mask", "true or false")),
+        (
+            'primitive = "box"\nmask = false\nordinary = false',
+            ("object[1].mask", "false for both"),
+        ),
     ],
 )
 def test_a_wrong_object_is_refused_by_its_number(tmp_path, body, parts):

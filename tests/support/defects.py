@@ -67,6 +67,7 @@ def made(kind: str, seed: int, size: int) -> tuple[np.ndarray, dict]:
         given["mask"] = np.roll(mask, np.round(shift).astype(int), (0, 1))
         return random_targets.to_bytes(image), given
     if kind == "upsampled":
+        given["pass_scale"] = 1.0
         low = mask.reshape(size // 2, 2, size // 2, 2).mean((1, 3)) / 255
         return random_targets.to_bytes(
             random_targets.enlarged(random_targets.render64(low, truth), size)

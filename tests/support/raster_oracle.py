@@ -38,7 +38,7 @@ def nearest(scene, factor: int = 1) -> tuple[np.ndarray, np.ndarray]:
             rows, columns = _box(a, b, c, x, y, near)
             if rows.size and columns.size:
                 where = np.ix_(rows, columns)
-                t = _hit(a, b, c, x[columns][None], y[rows][:, None])
+                t = hit(a, b, c, x[columns][None], y[rows][:, None])
                 closer = (t >= near) & (t < depth[where])
                 depth[where] = np.where(closer, t, depth[where])
                 found[where] = np.where(closer, i + 2, found[where])
@@ -67,7 +67,7 @@ def _box(a, b, c, x, y, near):
     )
 
 
-def _hit(a, b, c, x, y):
+def hit(a, b, c, x, y):
     """Depth at which the rays (x, y, -1) meet a triangle, infinite where they do not."""
     n = np.cross(b - a, c - a)
     with np.errstate(divide="ignore", invalid="ignore"):

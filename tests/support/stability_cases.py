@@ -279,7 +279,7 @@ def blind(size: int) -> Outcome:
     target = random_targets.to_bytes(
         random_targets.enlarged(random_targets.render64(low, TRUTH), size)
     )
-    return warns(fit(target, mask), "rendered at")
+    return warns(fit(target, mask, pass_scale=1.0), "rendered at")
 
 
 def shifted(size: int) -> Outcome:
@@ -404,7 +404,7 @@ CASES = [
     Case("model error", "inverse square light", "refuses", marched),
     Case("correlated pixels", "JPEG 60", "warns, errors hold", jpeg(60)),
     Case("correlated pixels", "JPEG 90", "warns, errors hold", jpeg(90)),
-    Case("correlated pixels", "upsampled, not told", "warns", blind),
+    Case("correlated pixels", "upsampled, another size given", "warns", blind),
     Case("wrong mask", "shifted by two pixels", "warns", shifted),
     Case("wrong model", "two lights", "warns", two_lights),
     *(Case("solver", name, "arrives or shows it", solver(name)) for name in SOLVERS),

@@ -17,5 +17,6 @@ import make
 import photographs
 import screens
 import stages
+import steering
 
-__all__ = ["bodies", "canvases", "make", "photographs", "screens", "stages"]
+__all__ = ["bodies", "canvases", "make", "photographs", "screens", "stages", "steering"]
