@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 from pathlib import Path
 
 os.environ["MPLBACKEND"] = "Agg"
@@ -84,6 +85,8 @@ sys.modules |= compiled
 install_import_hook("godfit", "beartype.beartype")
 # A worker's heap is large, and giving it back after every program is compiled takes 1% of the time.
 importlib.import_module("godfit.runtime.malloc").TRIM_AFTER_SECONDS = math.inf
+# What a command prints must not depend on the machine's speed.
+importlib.import_module("godfit.commands.progress").QUIET_SECONDS = threading.TIMEOUT_MAX
 
 
 # Files that take long, longest first: in the order of their names, or of how many tests they hold,

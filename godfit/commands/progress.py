@@ -16,6 +16,10 @@ QUIET_SECONDS = 2.0
 """Seconds after which a line is printed where stderr is no terminal."""
 
 
+LOADING = "loading JAX"
+"""The first stage of every command."""
+
+
 class Progress:
     """Stages of the work on stderr. On a terminal they are a spinner, once a second has passed,
     unless ``quiet``. With ``verbose`` each is a line, wherever stderr goes. Elsewhere a line now
@@ -52,7 +56,8 @@ class Progress:
         """Print the stage whenever it is another one after QUIET_SECONDS."""
         said = ""
         while not self.ended.wait(QUIET_SECONDS):
-            if self.stage != said:
+            # What is wrong with the input is found by then: it is one line without others.
+            if self.stage not in (said, LOADING):
                 said = self.stage
                 # A pipe that is closed ends no fit.
                 with contextlib.suppress(OSError, ValueError):

@@ -10,6 +10,7 @@ import click
 
 from godfit.commands.lights import Lights, with_light
 from godfit.commands.options import SHADER, colour, image_size
+from godfit.commands.progress import warn
 from godfit.errors import InputError
 
 if TYPE_CHECKING:
@@ -30,6 +31,15 @@ SWITCHES = {
     "accumulate_radiance": "--no-accumulate",
 }
 """Options that are spelled otherwise than their name."""
+HALF_LEVEL = 0.5 / 255
+"""A picture that is nowhere brighter is black in eight bits."""
+BLACK_VOLUME = {
+    True: "the picture is black: the sun is at the horizon or below, or --e-sun is too small; move "
+    "the scene's light up, or give a larger --e-sun",
+    False: "the picture is black: the lamp's light does not reach it; give a larger --e-sun, or a "
+    "smaller --scale",
+}
+"""Warnings of a volume without light, by whether its source is the sun."""
 PARAMETER_OPTIONS = ("exposure", "decay", "density", "weight", "e_sun", "scale", "turbidity", "g")
 """Options that are parameters of a model."""
 
@@ -371,6 +381,8 @@ def daylight(picture: Picture, options: dict[str, Any]) -> np.ndarray:
             scene, model.air, np.asarray(model.view.distance), source=options["source"],
             steps=options["steps"] or 128, background=picture.background,
         )  # fmt: skip
+        if image.max() < HALF_LEVEL:
+            warn(BLACK_VOLUME[options["source"] == "sun"])
         return np.clip(image, 0, 1)
     if sky is None:
         assert scene is not None

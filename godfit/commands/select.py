@@ -30,9 +30,15 @@ def select(target: str, light: Lights, run: Run, **given: Any) -> int:
     Rungs that do not fit the light hold it at --light. The table goes to stdout, select.json and
     select.png to x.godfit/. The exit status is 3 if no rung leaves only noise.
     """
+    for name in ("canvas", "rays"):
+        if given[name] is not None:
+            raise click.UsageError(
+                f"--{name}: expected none, got one; it is for light in the plane"
+            )
     study = opened(target, given, run.output)
     place = light.one(study.image.values.shape)
-    for name in ("model", "canvas", "rays"):
+    # The ladder begins with one light, however many the file beside the target has.
+    for name in ("model", "canvas", "rays", "lights"):
         study.options.pop(name, None)
     with working(run) as progress:
         from godfit.studies.select import select

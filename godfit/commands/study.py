@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 import click
 
 from godfit.commands.options import Run, valid_pixels
-from godfit.commands.progress import Progress, warn
+from godfit.commands.progress import LOADING, Progress, warn
 from godfit.errors import InputError
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def drop_foreign(options: dict[str, Any], given: Mapping[str, Any]) -> None:
 def working(run: Run) -> Iterator[Progress]:
     """Show progress, and keep compiled programs and little memory."""
     with Progress(run.quiet, run.verbose) as progress:
-        progress("loading JAX")
+        progress(LOADING)
         from godfit.runtime.cache import enable_jax_cache
         from godfit.runtime.malloc import return_freed_memory
         from godfit.runtime.program_cache import enable_program_cache, save_preload_list

@@ -12,6 +12,7 @@ four sums every derivative (see ``godfit.scattering.radial.derivatives``).
 from __future__ import annotations
 
 import difflib
+import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -250,13 +251,35 @@ CONVENTIONS: dict[str, Convention] = {
 }
 
 
+ENGINE_NAMES = {
+    "godrayseffect": "pmndrs", "godrays": "pmndrs", "postprocessing": "pmndrs",
+    "reactpostprocessing": "pmndrs", "threejs": "three", "sousa": "three", "cryengine": "three",
+    "babylonjs": "babylon", "volumetriclightscattering": "babylon",
+    "volumetriclightscatteringpostprocess": "babylon", "gpugems": "mitchell",
+    "gpugems3": "mitchell", "mitchell2007": "mitchell", "article": "article-glsl",
+    "irrlicht": "article-glsl",
+}  # fmt: skip
+"""Conventions by the names that engines, effects and books have, without case and punctuation."""
+UNLIKE = {
+    "unreal": "its light shafts are three passes of a mean over twelve taps",
+    "unrealengine": "its light shafts are three passes of a mean over twelve taps",
+    "unity": "its sun shafts are passes of a mean over six taps",
+    "godot": "its rays are a mean of jittered taps to a power",
+    "blender": "its sun beams fall off with the square of the distance along the ray",
+}
+"""What conventions lack for engines whose sums are others."""
+
+
 def convention(name: str) -> Convention:
-    """The convention of this name. Raises InputError for an unknown one, naming the closest."""
-    try:
+    """The convention of this name, or of the engine or effect of this name. Raises InputError for
+    an unknown one, naming the closest."""
+    if name in CONVENTIONS:
         return CONVENTIONS[name]
-    except KeyError:
-        closest = difflib.get_close_matches(name, CONVENTIONS, n=1, cutoff=0.0)
-        raise InputError(
-            f"shader: expected one of {', '.join(CONVENTIONS)}, got '{name}'; "
-            f"did you mean '{closest[0]}'?"
-        ) from None
+    plain = re.sub("[^a-z0-9]", "", name.lower())
+    if plain in ENGINE_NAMES or plain in CONVENTIONS:
+        return CONVENTIONS[ENGINE_NAMES.get(plain, plain)]
+    expected = f"shader: expected one of {', '.join(CONVENTIONS)}, got '{name}'"
+    if plain in UNLIKE:
+        raise InputError(f"{expected}: {UNLIKE[plain]}; mitchell is the nearest, in shape alone")
+    closest = difflib.get_close_matches(name, CONVENTIONS, n=1, cutoff=0.0)
+    raise InputError(f"{expected}; did you mean '{closest[0]}'?")

@@ -14,6 +14,7 @@ import pytest
 
 from godfit import InputError, read_image, write_image
 from godfit.__main__ import main
+from godfit.commands import progress
 from godfit.io.sidecar import read_sidecar
 from godfit.io.sources import shrink_mask
 from godfit.report.text import number
@@ -235,6 +236,22 @@ def test_bad_options(disc, capsys, arguments, status, words):
     assert leftovers(disc.parent) == before
 
 
+def test_long_work_says_what_it_does(capsys, monkeypatch):
+    """Without a terminal, a stage that lasts is a line; one that is over is none."""
+    monkeypatch.setattr(progress, "QUIET_SECONDS", 0.05)
+    with progress.Progress(quiet=False, verbose=False) as say:
+        say(progress.LOADING)
+        time.sleep(0.2)
+        say("over at once")
+        say("all pixels")
+        time.sleep(0.2)
+    assert capsys.readouterr().err == "godfit: all pixels\n"
+    with progress.Progress(quiet=True, verbose=False) as say:
+        say("all pixels")
+        time.sleep(0.2)
+    assert capsys.readouterr().err == ""
+
+
 def test_compare_needs_a_mask(disc, capsys):
     (disc.parent / "disc.toml").unlink()
     assert "expected --mask IMAGE" in fails(capsys, 2, "compare", disc)
@@ -245,7 +262,8 @@ def test_compare_needs_a_mask(disc, capsys):
     [
         (["--model", "hoffman-preetham"], "expected --mask or --scene"),
         (["--lights", "2"], "expected 1 without a mask"),
-        (["--background", "FILE"], "expected none without a mask"),
+        (["--background", "SMALL"], "expected none without a mask"),
+        (["--background", "FILE"], "expected another image than the target"),
         (["--shader", "three"], "expected one with the shader 'three'"),
         (["--occluder", "SMALL"], "expected the target's 256x256 pixels, got 16x16"),
         (["--ignore", "0,0,256,255"], "expected some open background"),
@@ -264,7 +282,7 @@ def test_what_a_fit_without_a_mask_does_not_do(disc, capsys, arguments, words):
 @pytest.mark.parametrize(
     ("arguments", "status", "words"),
     [
-        (["FILE", "--mask", "FILE"], 2, "--mask: expected one picture"),
+        (["FILE", "--canvas", "FILE"], 2, "--canvas: expected one picture"),
         (["FILE", "--profile", "density"], 2, "--profile: expected one picture"),
         (["FILE", "--light-px", "1,2"], 2, "--light-px: expected one picture"),
         (["FILE", "--every", "0"], 2, "--every"),

@@ -189,9 +189,25 @@ def test_total_is_the_sum_over_a_white_mask():
 
 
 @pytest.mark.parametrize(
-    ("typed", "meant"), [("vespr", "vesper"), ("babylonjs", "babylon"), ("glsl", "article-glsl")]
+    ("typed", "meant"), [("vespr", "vesper"), ("babylom", "babylon"), ("glsl", "article-glsl")]
 )
 def test_unknown_shader_names_the_nearest(typed, meant):
     with pytest.raises(ValueError, match=f"got '{typed}'; did you mean '{meant}'") as caught:
+        convention(typed)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [("GodRaysEffect", "pmndrs"), ("three.js", "three"), ("babylonjs", "babylon"),
+     ("Babylon.js", "babylon"), ("GPU Gems 3", "mitchell"), ("DawnTime", "dawntime")],
+)  # fmt: skip
+def test_engines_and_effects_are_found_by_their_own_names(typed, meant):
+    assert convention(typed).name == meant
+
+
+@pytest.mark.parametrize("typed", ["unreal", "Unity"])
+def test_an_engine_with_another_sum_is_named(typed):
+    with pytest.raises(ValueError, match="mitchell is the nearest") as caught:
         convention(typed)
     assert "\n" not in str(caught.value)
