@@ -413,3 +413,11 @@ def test_only_what_is_open_is_tried(monkeypatch, tmp_path):
     with jax.enable_x64(False):
         for effort in (efforts[0], efforts[7]):
             assert effort.rival().picture.mask.shape == (SIZE // 2, SIZE // 2)
+
+
+def test_box_passes_are_not_searched_for_in_a_sum_along_rays():
+    """What is wrong is said after a second's search, and not after that of box passes."""
+    target, mask = picture(3)
+    result = fit(target, mask, shader="three", samples=None)
+    assert not result.converged
+    assert "a sum along whole rays" in result.message

@@ -38,8 +38,9 @@ BLUR_CLIPPED_SHARE = 0.01
 
 PLATEAU_PIXELS = 16
 """Pixels that share the largest level, at least, for it to be a plateau: fewer agree by chance."""
-PLATEAU_SHARE = 2e-4
-"""The same as a share of the picture: a plateau of fewer pixels moves no parameter."""
+PLATEAU_SHARE = {True: 2e-4, False: 1e-2}
+"""The same as a share of the picture, at the top and at the bottom: a small light may be clipped,
+while black that was lifted is where most of the picture is dark."""
 
 
 class Observation(eqx.Module):
@@ -230,7 +231,11 @@ class Picture:
         if known(np.float32(level)) or (not top and level <= 0):
             return None
         count = int(np.count_nonzero((shown == level).any(-1)))
-        return (level, count) if count >= max(PLATEAU_PIXELS, PLATEAU_SHARE * len(shown)) else None
+        return (
+            (level, count)
+            if count >= max(PLATEAU_PIXELS, PLATEAU_SHARE[top] * len(shown))
+            else None
+        )
 
     @functools.cached_property
     def above(self) -> np.ndarray:

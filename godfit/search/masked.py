@@ -25,12 +25,23 @@ from godfit.inference.strategy import (
 from godfit.io.image import LEVELS
 from godfit.models.base import AbstractModel
 from godfit.models.mitchell import Mitchell
+from godfit.scattering.radial.exact import at_run_time
 from godfit.search import beyond_light, density_minima, multigrid, multistart
 
 RETRIED = 3
 """Starts from which a doubtful fit is tried once more, each alone."""
 DECISIVE_LOG_ODDS = 3.0
 """Log-odds from which one size of the light pass is better than another: odds of twenty."""
+PLAIN_SUM, PLAIN_SAMPLES = "mitchell", 100
+"""The sum that stands for all along whole rays, and its number of taps."""
+PLAIN_NOISE = 3.0
+"""Noise in levels up to which that sum explains a picture whose order of decay, own pixel and
+number of taps are others: with another number of taps it has bands elsewhere."""
+ANOTHER_SUM = (
+    "the picture is a sum along whole rays ({:.2g} levels of noise) and no box passes, as {} has "
+    "them ({:.2g} levels); give its own --shader, see `godfit shaders`"
+)
+"""Objection with the noise of the plain sum, the shader and its noise."""
 OWN_SIZE = (
     "light pass: the mask's own size explains the picture better than a smaller one of {w}x{h} "
     "pixels (noise of {own:.2g} levels against {other:.2g})"
@@ -68,6 +79,9 @@ class Located(NamedTuple):
 def search_mask(problem: Problem, given: dict[str, float], effort: Effort) -> Found:
     """The fit of ``problem``: on a small copy from a grid of starts, on a few thousand sharp
     pixels, and on all of them; then doubts about the answer, and what the picture leaves open."""
+    other = _explained_by_another(problem, effort)
+    if other is not None:
+        return other
     located = _with_plateaus(_located(problem, given, effort), given, effort)
     located = _of_better_size(located, given, effort)
     found = located.found
@@ -75,6 +89,31 @@ def search_mask(problem: Problem, given: dict[str, float], effort: Effort) -> Fo
         found = _doubted(located, given, effort)
     found = hold_open(found, given)
     return indirect_inference.corrected(found) if effort.inquire else found
+
+
+def _explained_by_another(problem: Problem, effort: Effort) -> Found | None:
+    """The best start of a shader of box passes, with the objection, where the picture is Mitchell's
+    sum instead. Its search takes a second, and that of box passes, which nothing would explain,
+    minutes."""
+    model = problem.model
+    whole = isinstance(model, Mitchell) and model.convention.box and problem.free.any()
+    if not whole or not effort.inquire:
+        return None
+    assert isinstance(model, Mitchell)
+    template = dataclasses.replace(model, shader=PLAIN_SUM, samples=at_run_time(PLAIN_SAMPLES))
+    free = np.ones(len(problem.free), bool)
+    plain = problem.replaced(model=template, free=free, held=np.full(len(free), np.nan, np.float32))
+    effort.report(f"screening of {PLAIN_SUM}'s sum")
+    starts = starting_points(plain, {})
+    climbed = multigrid.climb(plain.small, starts, effort.report, stages=stages(template))
+    settled = _on_few_pixels(plain, climbed.coordinates)
+    if settled.sigma > PLAIN_NOISE:
+        return None
+    found = _likeliest(problem, [starting_points(problem, {})[0]], effort)
+    if found.settled.sigma < settled.sigma:
+        return None
+    words = ANOTHER_SUM.format(settled.sigma, model.shader, found.settled.sigma)
+    return found.replaced(objection=words, inquire=False)
 
 
 def _located(problem: Problem, given: dict[str, float], effort: Effort) -> Located:
