@@ -67,12 +67,19 @@ def compare(
     shared = {"mask": mask, "scene": scene, "progress": say}
     rows = []
     for name, extra in kinds:
-        for fix in [place, {}] if place else [{}]:
-            title = name + ("" if fix else ", light free")
-            say(title)
-            rows.append(
-                _row(title, picture, shared | {"model": name, "fix": fix} | extra | options)
-            )
+        given = shared | {"model": name} | extra | options
+        free = f"{name}, light free"
+        if place:
+            say(name)
+            rows.append(_row(name, picture, given | {"fix": place}))
+        say(free)
+        row = _row(free, picture, given)
+        if place and row.result.log_likelihood < rows[-1].result.log_likelihood:
+            # A light that may move explains no less than one that may not: it starts there.
+            at = {n: e.value for n, e in rows[-1].result.params.items()}
+            again = _row(free, picture, given | {"start": at | dict(options.get("start") or {})})
+            row = max(row, again, key=lambda r: r.result.log_likelihood)
+        rows.append(row)
     if canvas is not None:
         # A shader's samples, its pass scale and its background do not apply to the plane.
 

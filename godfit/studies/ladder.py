@@ -99,7 +99,12 @@ class Ladder:
         for (name, shows, _), held, starts in zip(steps, given, ways, strict=True):
             self.say(name)
             below = [] if len(found) == 1 else [found[-1].settled.coordinates]
-            found.append(self._fitted(name, shows, self.shader, held, [*starts, *below]))
+            rung = self._fitted(name, shows, self.shader, held, [*starts, *below])
+            if below and rung.settled.log_likelihood < found[-1].settled.log_likelihood:
+                # It frees more than the rung below: it climbs again, from there alone.
+                again = self._fitted(name, shows, self.shader, held, below)
+                rung = max(rung, again, key=lambda r: r.settled.log_likelihood)
+            found.append(rung)
         found += self._above(found[-1], held)
         return found
 
