@@ -421,3 +421,10 @@ def test_box_passes_are_not_searched_for_in_a_sum_along_rays():
     result = fit(target, mask, shader="three", samples=None)
     assert not result.converged
     assert "a sum along whole rays" in result.message
+
+
+def test_two_lights_in_a_picture_of_one_are_said_to_be_one():
+    target, mask = picture(3)
+    result = fit(target, mask, lights=2, inquire=False)
+    assert not result.converged
+    assert "light and light2 are at the same place" in result.message

@@ -393,6 +393,12 @@ def _read_png(data: bytes, notes: list[str], check: CheckSize) -> Samples:
             # Bits of each channel that hold something; the others only fill up.
             used = {bits for bits in data[start + 8 : end - 4] if bits > 0}
         start = end
+    if b"CgBI" in kinds:
+        raise InputError(
+            "expected a PNG, got one optimised for iOS (chunk CgBI); save it again without that"
+        )
+    if data[12:16] != b"IHDR" or int.from_bytes(data[8:12], "big") != 13:
+        raise InputError(f"expected the chunk IHDR first, got {data[12:16]!r}; save it again")
     if b"acTL" in kinds:
         raise InputError("expected a still image, got an animation; save one frame")
     width, height = (int.from_bytes(data[i : i + 4], "big") for i in (16, 20))

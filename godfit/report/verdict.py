@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -35,6 +37,10 @@ STRUCTURED = (
     "occluders differ from the model"
 )
 """Remark with the noise in levels and the correlation."""
+SAME_PLACE = 5.0
+"""Standard errors within which two lights are at one place: farther they are two."""
+SAME_PLACE_SHARE = 0.005
+"""The same as a share of the picture: a pixel or two of a large one."""
 LEAST_VARIANCE = 1e-30
 """Stands for a variance of zero in a ratio."""
 LEAST_CORRELATION = 0.1
@@ -160,10 +166,33 @@ def nothing_there(picture: Picture, estimated: Estimates) -> str:
             f"every pixel of the mask has the same value ({picture.mask.max():g} of 1): it casts "
             "no rays; give the mask that the light pass reads, white where light comes through"
         )
+    pair = same_place(estimated)
+    if pair:
+        return (
+            f"{pair[0]} and {pair[1]} are at the same place: one light explains the picture; give "
+            "fewer --lights"
+        )
     known = (*estimated.params.values(), *estimated.combined.values())
     if all(estimate.stderr is None for estimate in known):
         return "the picture determines no parameter; compare target and mask by eye"
     return ""
+
+
+def same_place(estimated: Estimates) -> tuple[str, str] | None:
+    """Two lights whose positions differ by less than SAME_PLACE of their errors; None without such.
+    As one light in two halves their errors are large against that of a single one, so that the
+    positions must also agree within SAME_PLACE_SHARE of the picture."""
+    params = estimated.params
+    stems = [name.removesuffix("_x") for name in params if name.endswith("_x")]
+    for one, other in itertools.combinations(stems, 2):
+        pairs = [(params[f"{one}_{c}"], params[f"{other}_{c}"]) for c in "xy"]
+        apart = [abs(a.value - b.value) for a, b in pairs]
+        errors = [math.hypot(a.stderr or 0, b.stderr or 0) for a, b in pairs]
+        if all(
+            d < min(SAME_PLACE * e, SAME_PLACE_SHARE) for d, e in zip(apart, errors, strict=True)
+        ):
+            return one, other
+    return None
 
 
 def _clipped_ends(picture: Picture) -> tuple[str, ...]:

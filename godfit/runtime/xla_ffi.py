@@ -163,4 +163,21 @@ def call(name: str, result: jax.ShapeDtypeStruct, *arguments: jax.Array, ranks: 
                 f"{argument.ndim} in {argument.dtype}"
             )
     register(name)
-    return jax.ffi.ffi_call(name, result, vmap_method="sequential")(*arguments)
+    return _compiled(name, result)(*arguments)
+
+
+def _compiled(name: str, result: jax.ShapeDtypeStruct) -> Any:
+    """The custom call, which says what to do where its derivative is needed."""
+
+    @jax.custom_jvp
+    def compiled(*arguments):
+        return jax.ffi.ffi_call(name, result, vmap_method="sequential")(*arguments)
+
+    @compiled.defjvp
+    def refuse(primals, tangents):
+        raise TypeError(
+            f"{name}: expected a value or a first derivative, got a second one (jax.hessian, or "
+            "jax.grad of a gradient); give method='reference' to the model or to radial_sum"
+        )
+
+    return compiled

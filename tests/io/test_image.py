@@ -653,3 +653,10 @@ def test_atomic_write_permissions_and_relative_names(tmp_path, monkeypatch):
 def test_errors_never_hold_a_newline():
     assert str(InputError("a\nb\r\nc\u2028d")) == "a b c d"
     assert issubclass(InputError, ValueError)
+
+
+def test_png_chunks_that_no_decoder_takes_are_named(refuse):
+    whole = png(GREY8, 8, 0)
+    refuse(whole[:8] + chunk(b"CgBI", bytes(4)) + whole[8:], "iOS")
+    refuse(whole[:8] + chunk(b"IHDR", b"") + whole[33:], "IHDR")
+    refuse(whole[:8] + chunk(b"tEXt", b"") + whole[8:], "IHDR first")

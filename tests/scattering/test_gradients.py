@@ -10,7 +10,7 @@ from jax.test_util import check_grads
 
 from godfit.models.mitchell import Mitchell
 from godfit.scattering.radial import radial_sum
-from godfit.scattering.taps import Taps
+from godfit.scattering.taps import CONVENTIONS, Taps
 from tests.support import scattering_oracle as oracle
 
 # A density that puts no tap on a texel line by accident: there the bilinear mask has two slopes.
@@ -280,3 +280,16 @@ def test_without_exposure_there_is_no_light_and_no_infinity():
     assert np.isfinite(jax.jacfwd(lambda z: numbers(model.moved(z)))(z)).all()
     assert np.isfinite(jax.jacfwd(lambda z: model.moved(z)(MASK))(z)).all()
     assert not eqx.tree_at(lambda m: m.exposure, model, jnp.zeros(()))(MASK).any()
+
+
+def test_a_second_derivative_names_the_method_that_has_it(single_precision):
+    mask = jnp.asarray(np.random.default_rng(0).random((9, 8)), jnp.float32)
+    (taps,) = CONVENTIONS["mitchell"].taps(0.1, 0.9, 0.7, 0.5, 6)
+
+    def total(method):
+        return lambda light: radial_sum(mask, light, taps, method=method).sum()
+
+    light = jnp.array([0.4, 0.6], jnp.float32)
+    with pytest.raises(TypeError, match="method='reference'"):
+        jax.hessian(total("auto"))(light)
+    assert np.isfinite(jax.hessian(total("reference"))(light)).all()
