@@ -1,6 +1,7 @@
-"""InputError, the one exception whose message is printed to the user."""
+"""InputError, the one exception whose message is printed to the user.
 
-from __future__ import annotations
+This file imports nothing: see ``godfit/__init__.py``.
+"""
 
 LIKELIHOOD_INCOMPLETE = (
     "{}: expected a target whose only errors are noise and rounding, got one that was compressed "
@@ -17,7 +18,7 @@ class InputError(ValueError):
         super().__init__(" ".join(str(message).splitlines()))
 
     @staticmethod
-    def within(error: Exception) -> InputError | None:
+    def within(error: Exception) -> "InputError | None":
         """The InputError that compiled code raised and JAX wrapped in ``error``; None if there is
         none."""
         _, found, rest = str(error).partition("InputError: ")

@@ -15,9 +15,6 @@ class Progress:
     """Stages of the work on stderr. On a terminal they are a spinner, once a second has passed,
     unless ``quiet``. With ``verbose`` each is a line, wherever stderr goes."""
 
-    # Python drops an interrupt that comes while it runs a finaliser: the next stage checks again.
-    interrupted = False
-
     def __init__(self, quiet: bool, verbose: bool) -> None:
         from rich.console import Console
 
@@ -28,8 +25,6 @@ class Progress:
         self.status: Any = None
 
     def __call__(self, stage: str) -> None:
-        if Progress.interrupted:
-            raise KeyboardInterrupt
         elapsed = time.perf_counter() - self.began
         if self.verbose:
             click.echo(f"godfit: {elapsed:6.2f} s  {stage}", err=True)
