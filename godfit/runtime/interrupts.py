@@ -7,6 +7,7 @@ from the start, which ends the process itself. This file imports nothing that ta
 
 from __future__ import annotations
 
+import _imp
 import os
 import signal
 from types import FrameType
@@ -22,6 +23,10 @@ SHOW_CURSOR = "\r\x1b[2K\x1b[?25h"
 def end_on_interrupt() -> None:
     """Let SIGINT end the process. Nothing changes where the parent has it ignored, and the system
     calls of native code go on after it."""
+    if _imp.lock_held():
+        # Python dropped an interrupt of its own start, and kept the lock of its imports: the first
+        # import of another thread would wait for ever.
+        _end(signal.SIGINT, None)
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, _end)
         if hasattr(signal, "siginterrupt"):
