@@ -33,7 +33,7 @@ from godfit.commands.render import render
 from godfit.commands.select import select
 from godfit.commands.shaders import shaders
 from godfit.commands.simplify import simplify
-from godfit.errors import InputError
+from godfit.errors import InputError, plain
 from godfit.runtime.files import forget_written, written_files
 
 GARBAGE_THRESHOLD = 100_000
@@ -73,13 +73,13 @@ def main(arguments: list[str] | None = None) -> int:
     except OSError as error:
         where = f"'{error.filename}': " if error.filename else ""
         message, status = f"{where}{error.strerror or error}; {written_files()}", 1
-    print(f"godfit: error: {' '.join(message.split())}", file=sys.stderr)
+    print(f"godfit: error: {' '.join(plain(message).split())}", file=sys.stderr)
     return status
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     if not {"-q", "--quiet"} & {*sys.argv}:
-        print(f"godfit: warning: {' '.join(str(message).split())}", file=sys.stderr)
+        print(f"godfit: warning: {' '.join(plain(str(message)).split())}", file=sys.stderr)
 
 
 def run() -> None:
@@ -101,7 +101,7 @@ def run() -> None:
             traceback.print_exc()
         what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         print(
-            f"godfit: error: unexpected {' '.join(what.split())}; {written_files()}; "
+            f"godfit: error: unexpected {' '.join(plain(what).split())}; {written_files()}; "
             "please report it, with the lines that -v adds",
             file=sys.stderr,
             flush=True,

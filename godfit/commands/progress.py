@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+from godfit.errors import plain
+
 SPINNER_DELAY = 1.0
 """Seconds after which a spinner is shown: shorter work needs none."""
 
@@ -44,4 +46,4 @@ class Progress:
 
 def warn(text: str) -> None:
     """Print a warning, one line."""
-    click.echo(f"godfit: warning: {text}", err=True)
+    click.echo(f"godfit: warning: {plain(text)}", err=True)

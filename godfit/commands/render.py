@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from godfit.commands.options import SHADER, colour, image_size, light_position
+from godfit.commands.options import (
+    LIMIT,
+    MAX_SEED,
+    SHADER,
+    Command,
+    check_image_name,
+    colour,
+    image_size,
+    light_position,
+)
+from godfit.commands.study import start_jax
 from godfit.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,7 +41,11 @@ PARAMETER_OPTIONS = ("exposure", "decay", "density", "weight", "e_sun", "scale",
 """Options that are parameters of a model."""
 
 
-class RenderCommand(click.Command):
+RENDER_BYTES = 16
+"""Memory that a rendering takes a value, in bytes: the picture, the pass, and what is written."""
+
+
+class RenderCommand(Command):
     """``render``, with one line for what its options were until they got their present meaning."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -72,6 +86,7 @@ def published_name(context: click.Context, option: click.Parameter, name: str | 
 @click.option("--model", help="mitchell, hoffman-preetham, volume or flatland. [default: mitchell]")
 @click.option("--params", metavar="FIT.JSON", help="Take shader and parameters from a fit.")
 @SHADER
+@LIMIT
 @click.option("--exposure", type=float, help="Scale of the whole light pass.")
 @click.option("--decay", type=float, help="Weight of each tap relative to the one before it.")
 @click.option("--density", type=float, help="Share of the way to the light that taps reach.")
@@ -106,7 +121,11 @@ def published_name(context: click.Context, option: click.Parameter, name: str | 
 @click.option("--sun", metavar="R,G,B", help="Flatland: the sun's radiance. [default: .95,.95,.9]")
 @click.option("--sky", metavar="R,G,B", help="Flatland: the sky's radiance. [default: .02,.08,.2]")
 @click.option("--jitter", is_flag=True, help="Flatland: every pixel turns its rays; see --seed.")
-@click.option("--seed", type=int, help="Flatland: seed of jitter and film grain. [default: 0]")
+@click.option(
+    "--seed",
+    type=click.IntRange(0, MAX_SEED),
+    help="Flatland: seed of jitter and film grain. [default: 0]",
+)
 @click.option("--film-grain", type=float, metavar="SIGMA", help="Flatland: noise laid on.")
 @click.option(
     "--published",
@@ -170,6 +189,8 @@ def render(mask: str, output: str, transfer: str, bits: str, **options: Any) -> 
     from godfit.io.image import write_image
     from godfit.report.record import read_params
 
+    check_image_name(output)
+    start_jax()
     tolerance = options["tolerance"]
     if tolerance is not None and not 0 <= tolerance < float("inf"):
         raise click.BadParameter(
@@ -282,6 +303,7 @@ def mitchell(picture: Picture, options: dict[str, Any]) -> np.ndarray:
     from godfit.io.sources import shrink_mask
     from godfit.models.build import mitchell_at
     from godfit.runtime.device import on_device
+    from godfit.runtime.memory import check_memory
     from godfit.scattering.radial import cheapest
     from godfit.scenes.view import drawn_mask
 
@@ -294,6 +316,8 @@ def mitchell(picture: Picture, options: dict[str, Any]) -> np.ndarray:
     size = (occlusion if background is None else background).shape[:2]
     if options["size"]:
         size = image_size(options["size"])
+    channels = max(np.atleast_3d(x).shape[2] for x in (occlusion, background) if x is not None)
+    check_memory(RENDER_BYTES * size[0] * size[1] * channels, "render")
     picture.check_background(size)
     occlusion = shrink_mask(occlusion, picture.pass_scale)
     if not options["tolerance"]:

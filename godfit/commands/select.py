@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from godfit.commands.options import PICTURE, RESULT, Run, light_position
+from godfit.commands.options import PICTURE, RESULT, Command, Run, light_position
 from godfit.commands.study import (
     NOT_CONVERGED,
     command_line,
@@ -18,7 +18,7 @@ from godfit.commands.study import (
 )
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("target")
 @PICTURE
 @click.option(

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import click
 
+from godfit.commands.options import Command
 
-@click.command()
+
+@click.command(cls=Command)
 def shaders() -> int:
     """List the shader conventions with their formulas and defaults."""
     from godfit.scattering.taps import CONVENTIONS

@@ -84,6 +84,23 @@ def opened(
     return Study(image, valid_pixels(ignore, image.values.shape[:2]), options, folder)
 
 
+def start_jax() -> None:
+    """Import JAX. Raises InputError where there is too little memory for that, and where
+    ``JAX_PLATFORMS`` names no device that JAX finds."""
+    from godfit.runtime.memory import check_program_memory
+
+    check_program_memory()
+    import jax
+
+    try:
+        jax.devices()
+    except RuntimeError as error:
+        platforms = os.environ.get("JAX_PLATFORMS", "")
+        raise InputError(
+            f"JAX_PLATFORMS: expected names of devices, such as cpu, got '{platforms}': {error}"
+        ) from error
+
+
 @contextmanager
 def working(run: Run) -> Iterator[Progress]:
     """Show progress, and keep compiled programs and little memory."""
@@ -94,6 +111,7 @@ def working(run: Run) -> Iterator[Progress]:
         from godfit.runtime.program_cache import enable_program_cache, save_preload_list
 
         return_freed_memory()
+        start_jax()
         enable_jax_cache()
         enable_program_cache()
         try:

@@ -21,7 +21,9 @@ from typing import Any
 import numpy as np
 
 from godfit.errors import InputError
+from godfit.io.regular_files import read_regular
 from godfit.runtime.files import atomic_write
+from godfit.runtime.memory import check_memory
 
 LEVELS = 255.0
 """8-bit levels from black to white; residuals and noise are given in them."""
@@ -29,8 +31,13 @@ TRANSFERS = ("none", "srgb")
 """Transfer functions by which files may be encoded."""
 IMAGE_FORMATS = "PNG, JPEG, TIFF, EXR or .npy"
 """Formats that are read, as errors name them."""
-MAX_PIXELS = 2**29
-"""Pixels above which a header counts as damaged or a decompression bomb."""
+MAX_PIXELS = 2**27
+"""Pixels above which a header counts as damaged or a decompression bomb, unless ``limit_pixels``
+raises it: 11,585 squared, of which a colour image takes 1.6 GB."""
+MAX_SAMPLE = 1e12
+"""Largest value of a sample: the sum of the squares of a whole image is finite in float32."""
+READING_BYTES = 5
+"""Memory that reading takes a sample, in bytes: its code, and its value in float32."""
 SRGB_LINEAR_END = 0.04045
 """Encoded value at which sRGB's linear segment ends and its power begins (IEC 61966-2-1)."""
 SRGB_LINEAR_END_DECODED = 0.0031308
@@ -99,14 +106,7 @@ def read_layer(
     """As ``read_image``, with the alpha channel, (h, w) float32 from 0 to 1; None without one."""
     _checked_transfer(transfer)
     name = os.fsdecode(path)
-    try:
-        with open(name, "rb") as file:
-            data = file.read()
-    except (OSError, ValueError) as error:  # ValueError: a null character in the path
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(
-            f"{name!r}: cannot be read ({reason}); expected {IMAGE_FORMATS}"
-        ) from error
+    data = read_regular(name, IMAGE_FORMATS)
     kind, reader = _recognise(data, name)
     digest, notes = hashlib.sha256(data).hexdigest(), []
     try:
@@ -114,6 +114,8 @@ def read_layer(
             codes = reader(data, notes)
         del data  # up to a third of the memory in use
         values, quantum, alpha = _linear(codes, transfer, notes)
+    except MemoryError:
+        raise
     except Exception as error:
         raise InputError(f"{name!r} ({kind}): {str(error) or type(error).__name__}") from error
     return Image(values, quantum, transfer, name, digest, tuple(notes)), alpha
@@ -139,7 +141,7 @@ def write_image(
         got = f"{values.dtype} {values.shape}"
         raise InputError(f"{name!r}: expected numbers (h, w) or (h, w, 3), got {got}")
     try:
-        _check_shape(values.shape)
+        check_pixels(values.shape)
         with np.errstate(over="ignore"):
             values = _checked_finite(values.astype(np.float32, copy=False))
         if suffix == ".npy":
@@ -185,15 +187,30 @@ def _by_rows(function: Callable[[Any], Any], source: np.ndarray, dtype: Any) -> 
 def _checked_finite(values: np.ndarray) -> np.ndarray:
     if not np.isfinite(values).all():
         raise InputError("expected finite float32 values, got NaN or infinity; replace them first")
+    if values.size and max(values.max(), -values.min()) > MAX_SAMPLE:
+        raise InputError(f"expected values below {MAX_SAMPLE:g}, got more; scale them first")
     return values
 
 
-def _check_shape(shape: tuple[int, ...]) -> None:
+def limit_pixels(count: int = MAX_PIXELS) -> None:
+    """Let images have up to ``count`` pixels from now on."""
+    global _most_pixels
+    _most_pixels = count
+
+
+_most_pixels = MAX_PIXELS
+
+
+def check_pixels(shape: tuple[int, ...]) -> None:
     """Raise for an empty, huge or wrongly shaped image, if possible before it is decoded."""
     if len(shape) not in (2, 3) or (len(shape) == 3 and not 1 <= shape[2] <= 4):
         raise InputError(f"expected a shape (h, w) or (h, w, 1 to 4), got {shape}")
-    if not 0 < shape[0] * shape[1] <= MAX_PIXELS or min(shape) < 0:
-        raise InputError(f"expected from 1 to {MAX_PIXELS} pixels, got {shape[0]} x {shape[1]}")
+    if not 0 < shape[0] * shape[1] <= _most_pixels or min(shape) < 0:
+        raise InputError(
+            f"expected from 1 to {_most_pixels} pixels, got {shape[0]} x {shape[1]}; "
+            "--max-pixels raises the limit"
+        )
+    check_memory(READING_BYTES * shape[0] * shape[1] * (shape[2] if len(shape) == 3 else 1))
 
 
 def _linear(
@@ -201,7 +218,7 @@ def _linear(
 ) -> tuple[np.ndarray, float | None, np.ndarray | None]:
     """The stored samples (h, w[, 1 to 4]) -> linear float32 values, quantum and alpha, to which no
     transfer applies; adds to ``notes``."""
-    _check_shape(codes.shape)
+    check_pixels(codes.shape)
     kind = codes.dtype.newbyteorder("=").name
     if kind not in ("uint8", "uint16", "float16", "float32", "float64"):
         raise InputError(f"expected uint8, uint16 or 16 to 64-bit float samples, got {kind}")
@@ -265,7 +282,7 @@ def _read_png(data: bytes, notes: list[str]) -> np.ndarray:
     if b"acTL" in kinds:
         raise InputError("expected a still image, got an animation; save one frame")
     width, height = (int.from_bytes(data[i : i + 4], "big") for i in (16, 20))
-    _check_shape((height, width))
+    check_pixels((height, width))
     depth, colour = data[24], data[25]
     if colour == 3:
         notes.append("A palette image: if its colours were reduced, rounding intervals are wrong.")
@@ -283,7 +300,7 @@ def _read_jpeg(data: bytes, notes: list[str]) -> np.ndarray:
     with JpegImageFile(io.BytesIO(data)) as image:
         if image.mode not in ("L", "RGB"):
             raise InputError(f"expected grey or RGB, got {image.mode}; convert it to RGB")
-        _check_shape((image.height, image.width))
+        check_pixels((image.height, image.width))
         _note_orientation(image.getexif().get(274, 1), notes)
         image.load()
         return np.asarray(image)
@@ -299,7 +316,7 @@ def _read_tiff(data: bytes, notes: list[str]) -> np.ndarray:
         several |= any(data[tiff.pages.next_page_offset :][: tiff.tiff.offsetsize])
         if several or not isinstance(page, tifffile.TiffPage):
             raise InputError("expected one page, got several; save the wanted page by itself")
-        _check_shape((page.imagelength, page.imagewidth))
+        check_pixels((page.imagelength, page.imagewidth))
         colours = {0: 0, 1: 1, 2: 3}.get(page.photometric, 0)  # black is 0; RGB
         if not colours or page.samplesperpixel - colours not in (0, 1):
             got = f"photometric {page.photometric!r} with {page.samplesperpixel} samples"
@@ -329,7 +346,7 @@ def _read_exr(data: bytes, notes: list[str]) -> np.ndarray:
     header = head.header()
     window = np.array(header["dataWindow"], dtype=np.int64)
     width, height = (int(n) for n in window[1] - window[0] + 1)
-    _check_shape((height, width))
+    check_pixels((height, width))
     if not np.array_equal(window, header["displayWindow"]):
         notes.append("Only the data window was read; it is not the whole display window.")
     file = OpenEXR.File(io.BytesIO(data))
@@ -356,7 +373,7 @@ def _read_npy(data: bytes, notes: list[str]) -> np.ndarray:
         shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
     else:
         shape, fortran, dtype = np.lib.format.read_array_header_2_0(stream)
-    _check_shape(shape)
+    check_pixels(shape)
     if dtype.kind not in "fu":
         raise InputError(f"expected uint8, uint16 or float samples, got {dtype}; convert them")
     expected, got = int(np.prod(shape)) * dtype.itemsize, len(data) - stream.tell()

@@ -61,6 +61,11 @@ def load(path: Path) -> Mesh:
         raise InputError(f"'{path}': expected triangles, got none; export faces, not points")
     first, vertices, faces = 0, [], []
     for v, f in parts:
+        if v.shape[1:] != (3,) or f.shape[1:] != (3,):
+            raise InputError(
+                f"'{path}': expected three coordinates a vertex and three corners a face, got "
+                f"arrays {v.shape} and {f.shape}; export it again"
+            )
         if f.min() < 0 or f.max() >= len(v):
             raise InputError(
                 f"'{path}': expected indices from 0 to {len(v) - 1}, got {f.min()} to {f.max()}; "
@@ -104,7 +109,7 @@ def _loaded(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
                 for part in scene.dump()
                 if isinstance(part, trimesh.Trimesh)
             ]
-    except InputError:
+    except (InputError, MemoryError):
         raise
     except Exception as error:
         # trimesh's loaders raise whatever their parsers raise. An ImportError means that binary
@@ -246,7 +251,7 @@ def _check_gltf(path: Path) -> tuple[str, ...]:
         uris = [image.get("uri", "data:") for image in tree.get("images", [])]
         files = [urllib.parse.unquote(u) for u in uris if not u.startswith("data:")]
         missing = sum(not (path.parent / file).is_file() for file in files)
-    except (ValueError, LookupError, TypeError, AttributeError) as error:
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(
             f"'{path}': expected a glTF 2.0 header, got {type(error).__name__}: {error}; "
             "export it again"

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from godfit.errors import InputError
+from godfit.errors import InputError, shown
 from godfit.io.image import TRANSFERS
 from godfit.io.sidecar import SIDECAR_SCATTERING
 from godfit.io.toml_table import Colour, Table
@@ -215,7 +215,7 @@ def _object(table: Table) -> tuple[Object, tuple[str, ...]]:
     else:
         assert kind is not None
         if kind not in mesh.PRIMITIVES:
-            raise table.error("primitive", f"one of {', '.join(mesh.PRIMITIVES)}", repr(kind))
+            raise table.error("primitive", f"one of {', '.join(mesh.PRIMITIVES)}", shown(kind))
         sizes = {}
         for key, default in mesh.PRIMITIVES[kind][1].items():
             if isinstance(default, list):
@@ -245,9 +245,9 @@ def _setting(table: Table, key: str) -> Any:
     value = table.optional(key, SCATTERING_KEYS[key])
     expected = SCATTERING_LIMITS.get(key)
     if expected and not expected[0] <= value <= expected[1]:
-        raise table.error(key, f"from {expected[0]:g} to {expected[1]:g}", repr(value))
+        raise table.error(key, f"from {expected[0]:g} to {expected[1]:g}", shown(value))
     if key == "transfer" and value not in TRANSFERS:
-        raise table.error(key, " or ".join(map(repr, TRANSFERS)), repr(value))
+        raise table.error(key, " or ".join(map(repr, TRANSFERS)), shown(value))
     if key == "shader":
         try:
             convention(value)
