@@ -88,6 +88,10 @@ def run() -> None:
     # A fit is a sequence of many small programs, for which a GPU takes longer than a CPU, and some
     # of them are compiled for CPUs alone. JAX reads this variable when it is first imported.
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    for variable in ("XDG_CACHE_HOME", "XDG_CONFIG_HOME"):
+        # As their rule says. matplotlib would make its folders in the current one.
+        if variable in os.environ and not os.path.isabs(os.environ[variable]):
+            del os.environ[variable]
     warnings.showwarning = _show_warning
     gc.set_threshold(GARBAGE_THRESHOLD)
     try:

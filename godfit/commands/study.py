@@ -87,9 +87,11 @@ def opened(
 def start_jax() -> None:
     """Import JAX. Raises InputError where there is too little memory for that, and where
     ``JAX_PLATFORMS`` names no device that JAX finds."""
+    from godfit.runtime.malloc import return_freed_memory
     from godfit.runtime.memory import check_program_memory
 
     check_program_memory()
+    return_freed_memory()
     import jax
 
     try:
@@ -107,10 +109,8 @@ def working(run: Run) -> Iterator[Progress]:
     with Progress(run.quiet, run.verbose) as progress:
         progress("loading JAX")
         from godfit.runtime.cache import enable_jax_cache
-        from godfit.runtime.malloc import return_freed_memory
         from godfit.runtime.program_cache import enable_program_cache, save_preload_list
 
-        return_freed_memory()
         start_jax()
         enable_jax_cache()
         enable_program_cache()

@@ -141,7 +141,7 @@ def write_image(
         got = f"{values.dtype} {values.shape}"
         raise InputError(f"{name!r}: expected numbers (h, w) or (h, w, 3), got {got}")
     try:
-        check_pixels(values.shape)
+        check_pixels(values.shape, values.size)
         with np.errstate(over="ignore"):
             values = _checked_finite(values.astype(np.float32, copy=False))
         if suffix == ".npy":
@@ -201,13 +201,15 @@ def limit_pixels(count: int = MAX_PIXELS) -> None:
 _most_pixels = MAX_PIXELS
 
 
-def check_pixels(shape: tuple[int, ...]) -> None:
-    """Raise for an empty, huge or wrongly shaped image, if possible before it is decoded."""
+def check_pixels(shape: tuple[int, ...], most: int | None = None) -> None:
+    """Raise for an empty, huge or wrongly shaped image, if possible before it is decoded: one of
+    more than ``most`` pixels, by default the number set by ``limit_pixels``."""
+    most = most or _most_pixels
     if len(shape) not in (2, 3) or (len(shape) == 3 and not 1 <= shape[2] <= 4):
         raise InputError(f"expected a shape (h, w) or (h, w, 1 to 4), got {shape}")
-    if not 0 < shape[0] * shape[1] <= _most_pixels or min(shape) < 0:
+    if not 0 < shape[0] * shape[1] <= most or min(shape) < 0:
         raise InputError(
-            f"expected from 1 to {_most_pixels} pixels, got {shape[0]} x {shape[1]}; "
+            f"expected from 1 to {most} pixels, got {shape[0]} x {shape[1]}; "
             "--max-pixels raises the limit"
         )
     check_memory(READING_BYTES * shape[0] * shape[1] * (shape[2] if len(shape) == 3 else 1))

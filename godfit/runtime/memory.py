@@ -6,15 +6,18 @@ large work is compared with the memory before it begins.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
 from godfit.errors import InputError
 
 GIB = 1 << 30
-PROGRAM_BYTES = 1_400_000_000
-"""Address space that JAX, LLVM and their threads take for the smallest fit, in bytes, of which 0.4
-are memory. A limit on address space (``ulimit -v``) below this ends the process in native code."""
+PROGRAM_BYTES = 9 << 27
+"""Address space that JAX and LLVM take for a small fit that compiles all its programs, in bytes; a
+third of it is memory. A limit (``ulimit -v``) below this ends the process in native code."""
+THREAD_BYTES = 32 << 20
+"""Address space that a core's threads take, in bytes: three stacks of 8 MiB, and what they hold."""
 UNLIMITED = 1 << 60
 """A cgroup's limit from which it counts as none, in bytes."""
 CGROUP_FILES = (
@@ -37,11 +40,12 @@ def check_memory(need: int, what: str = "") -> None:
 
 def check_program_memory() -> None:
     """Raise InputError where a limit on address space leaves too little for any fit."""
-    limit = _address_space()
-    if limit is not None and limit < PROGRAM_BYTES:
+    has = _address_space()
+    need = PROGRAM_BYTES + THREAD_BYTES * (os.cpu_count() or 1)
+    if has is not None and need > has:
         raise InputError(
-            f"out of memory: needs about {_size(PROGRAM_BYTES)} of address space, has "
-            f"{_size(limit)}; raise the limit (ulimit -v)"
+            f"out of memory: needs about {_size(need)} of address space, has {_size(has)}; "
+            "raise the limit (ulimit -v)"
         )
 
 

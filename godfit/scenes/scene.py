@@ -24,6 +24,7 @@ from godfit.errors import InputError, shown
 from godfit.io.image import TRANSFERS
 from godfit.io.sidecar import SIDECAR_SCATTERING
 from godfit.io.toml_table import Colour, Table
+from godfit.runtime.memory import check_memory
 from godfit.scattering.parameters import SCATTERING as PARAMETERS
 from godfit.scattering.taps import convention
 from godfit.scenes import mesh
@@ -36,6 +37,8 @@ OBJECT_FIELDS = ("position", "rotation", "scale")
 """Fields of an object that a fit can free."""
 MAX_PICTURE_SIDE = 16384
 """Largest height and width of a picture, in pixels: a mask of that side takes a gigabyte."""
+DRAWING_BYTES = 50
+"""Memory that drawing a mask takes a pixel, in bytes, measured at 4096x4096."""
 SCATTERING_KEYS: dict[str, type] = {
     k: v for k, v in SIDECAR_SCATTERING.items() if k not in ("lights", "model", "rays")
 } | dict.fromkeys(("exposure", "decay", "density", "weight"), float)
@@ -173,6 +176,8 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
     path = Path(path)
     root = Table.read(path, "a scene file")
     image, camera, light = (root.table(key) for key in ("image", "camera", "light"))
+    size = tuple(image.whole(side, 1, MAX_PICTURE_SIDE) for side in ("height", "width"))
+    check_memory(DRAWING_BYTES * size[0] * size[1], f"'{path}': {size[1]}x{size[0]} pixels")
     background, scattering = root.table("background", {}), root.table("scattering", {})
     parts = [_object(Table(path, f"object[{i}]", t)) for i, t in enumerate(root.tables("object"))]
     root.finish()
@@ -193,7 +198,7 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
         ),
         tuple(obj for obj, _ in parts),
         background.colour("colour", "#000000"),
-        (image.whole("height", 1, MAX_PICTURE_SIDE), image.whole("width", 1, MAX_PICTURE_SIDE)),
+        (size[0], size[1]),
         image.switch("antialias"),
         tuple((key, _setting(scattering, key)) for key in list(scattering.data)),
         tuple(note for _, notes in parts for note in notes),
