@@ -20,6 +20,7 @@ if __name__ == "__main__" or os.path.basename(sys.argv[0]) in ("godfit", "godfit
 
 import difflib
 import gc
+import re
 import traceback
 import warnings
 from typing import Any
@@ -35,7 +36,10 @@ from godfit.commands.shaders import shaders
 from godfit.commands.simplify import simplify
 from godfit.errors import InputError, plain
 from godfit.runtime.files import forget_written, written_files
+from godfit.runtime.memory import available_memory
 
+OUT_OF_MEMORY = re.compile("RESOURCE_EXHAUSTED|bad_alloc|[Oo]ut of memory")
+"""In the text of an error of XLA: there was no memory."""
 GARBAGE_THRESHOLD = 100_000
 """Objects that are allocated between two garbage collections; imports and tracing make many objects
 and little garbage, and a collection takes some hundredths of a command."""
@@ -68,8 +72,15 @@ def main(arguments: list[str] | None = None) -> int:
         message, status = interrupt_message(), INTERRUPTED
     except InputError as error:
         message, status = str(error), 1
-    except MemoryError:
-        message, status = "out of memory; give a smaller target or free some", 1
+    except (MemoryError, RuntimeError) as error:
+        # XLA raises errors of its own, which are RuntimeErrors.
+        if not isinstance(error, MemoryError) and not OUT_OF_MEMORY.search(str(error)):
+            raise
+        has = available_memory()
+        room = "" if has is None else f", has {has / 2**30:.2g} GiB"
+        need = re.search(r"[\d.]+ ?([KMGT]i?B|bytes)", str(error))
+        message = f"out of memory: needs {f'another {need[0]}' if need else 'more'}{room}; "
+        message, status = message + f"give a smaller target; {written_files()}", 1
     except OSError as error:
         where = f"'{error.filename}': " if error.filename else ""
         message, status = f"{where}{error.strerror or error}; {written_files()}", 1

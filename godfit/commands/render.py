@@ -196,6 +196,7 @@ def render(mask: str, output: str, transfer: str, bits: str, **options: Any) -> 
         raise click.BadParameter(
             f"expected a number of levels, 0 or more, got {tolerance:g}", param_hint="--tolerance"
         )
+    options["size"] = image_size(options["size"]) if options["size"] else None
     options["light"] = [light_position(text) for text in options["light"]]
     for name in ("sun", "sky"):
         options[name] = colour(options[name], f"--{name}")
@@ -315,7 +316,7 @@ def mitchell(picture: Picture, options: dict[str, Any]) -> np.ndarray:
         occlusion = drawn_mask(scene, scene.antialias is not False)
     size = (occlusion if background is None else background).shape[:2]
     if options["size"]:
-        size = image_size(options["size"])
+        size = options["size"]
     channels = max(np.atleast_3d(x).shape[2] for x in (occlusion, background) if x is not None)
     check_memory(RENDER_BYTES * size[0] * size[1] * channels, "render")
     picture.check_background(size)

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 NOT_CONVERGED = 3
 """Exit status of a fit that did not converge."""
+FIT_BYTES = 110
+"""Memory that a fit takes a pixel, in bytes: the difference between 1920x1080 and 512x512 pixels
+(docs/measured.md)."""
 PROGRAM_SETTINGS = {
     "model", "shader", "samples", "lights", "pass_scale", "transfer", "bright_pass",
 }  # fmt: skip
@@ -124,7 +127,12 @@ def prepare(
     options: dict[str, Any], run: Run, progress: Progress, size: tuple[int, ...] = ()
 ) -> None:
     """Replace the scene's file by the scene, and warn of defaults that are assumed. ``size`` is
-    the target's: each size has programs of its own."""
+    the target's: each size has programs of its own. Raises InputError for a size whose fit needs
+    more memory than there is."""
+    from godfit.runtime.memory import check_memory
+
+    if size:
+        check_memory(FIT_BYTES * size[0] * size[1], f"target: {size[1]}x{size[0]} pixels")
     if "scene" in options:
         from godfit.scenes.scene import read_scene
 

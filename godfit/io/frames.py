@@ -64,6 +64,9 @@ def _image(values: np.ndarray, name: str, transfer: str) -> Image:
 def _video_frames(path: str) -> Iterator[tuple[int, np.ndarray]]:
     """(number from 1, (h, w, 3) bytes) of every frame; decoded one at a time."""
     try:
+        # Imported here: FFmpeg is needed for videos alone.
+        import av
+
         with open(path, "rb") as file:
             head = file.read(8)
             name = next((name for place, magic, name in CONTAINERS if head[place] == magic), None)
@@ -72,9 +75,6 @@ def _video_frames(path: str) -> Iterator[tuple[int, np.ndarray]]:
                     f"'{path}': expected a video (MP4, MOV, MKV, WebM or AVI), got another file"
                 )
             file.seek(0)
-            # Imported here: FFmpeg is needed for videos alone.
-            import av
-
             # As an open file and not as a name: nothing else is opened.
             with av.open(file, "r", format=name) as container:
                 frames = container.decode(video=0)
@@ -82,8 +82,10 @@ def _video_frames(path: str) -> Iterator[tuple[int, np.ndarray]]:
                     if number == 1:
                         check_pixels((frame.height, frame.width))
                     yield number, frame.to_ndarray(format="rgb24")
-    except (InputError, MemoryError):
+    except InputError:
         raise
+    except MemoryError:
+        raise InputError(f"'{path}': out of memory; expected a smaller video") from None
     except ImportError as error:
         raise InputError(
             f"'{path}': a video needs the package av, which is not installed; "

@@ -26,7 +26,7 @@ def read_regular(
         found = os.stat(name)
         if not (stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode)):
             raise InputError(
-                f"{name!r}: cannot be read (a device or a pipe); expected {expected}, as a file"
+                f"{name!r}: expected {expected}, got a device or a pipe; copy it to a file"
             )
         if found.st_size > most:
             raise InputError(

@@ -10,6 +10,8 @@ from godfit.errors import InputError
 from godfit.io.filters import shrink
 from godfit.io.image import Image, decode, read_image
 
+MAX_SAMPLE = 1e12
+"""Largest value that is fitted: the sum of the squares of 2^29 values is finite in float32."""
 Source = str | os.PathLike[str] | np.ndarray | Image
 
 
@@ -20,9 +22,9 @@ def read_source(source: Source, transfer: str) -> Image:
     floats up to 1. Raises InputError for other shapes, and for numbers that are not finite.
     """
     if isinstance(source, Image):
-        return source
+        return _checked_size(source)
     if isinstance(source, (str, os.PathLike)):
-        return read_image(source, transfer=transfer)
+        return _checked_size(read_image(source, transfer=transfer))
     array = np.asarray(source)
     if array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,)) or 0 in array.shape:
         raise InputError(f"image: expected shape (h, w) or (h, w, 3), got {array.shape}")
@@ -31,7 +33,18 @@ def read_source(source: Source, transfer: str) -> Image:
     values = (array.astype(np.float64) / top).astype(np.float32)
     if not np.isfinite(values).all():
         raise InputError("image: expected finite numbers, got NaN or infinity")
-    return Image(np.asarray(decode(values, transfer)), quantum, transfer, "", "")
+    return _checked_size(Image(np.asarray(decode(values, transfer)), quantum, transfer, "", ""))
+
+
+def _checked_size(image: Image) -> Image:
+    """The image; raises InputError where sums of its squares are not finite in float32."""
+    values = image.values
+    if values.size and max(values.max(), -values.min()) > MAX_SAMPLE:
+        raise InputError(
+            f"{image.path or 'image'}: expected values of at most {MAX_SAMPLE:g}, got "
+            f"{abs(values).max():.3g}; scale them first"
+        )
+    return image
 
 
 def occluder_mask(occluder: Image, target: Image) -> np.ndarray:

@@ -109,8 +109,10 @@ def _loaded(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
                 for part in scene.dump()
                 if isinstance(part, trimesh.Trimesh)
             ]
-    except (InputError, MemoryError):
+    except InputError:
         raise
+    except MemoryError:
+        raise InputError(f"'{path}': out of memory; expected a smaller mesh") from None
     except Exception as error:
         # trimesh's loaders raise whatever their parsers raise. An ImportError means that binary
         # data was taken for text, and that the package which guesses encodings is missing.
