@@ -175,7 +175,7 @@ def valid_pixels(ignore: tuple[str, ...], size: tuple[int, int]) -> np.ndarray |
                 raise InputError(f"--ignore: expected a width and height above 0, got '{text}'")
             valid[max(y, 0) : max(y + h, 0), max(x, 0) : max(x + w, 0)] = False
             continue
-        if len(numbers) == 4 and not Path(text).exists():
+        if len(numbers) == 4 and not os.path.exists(text):
             raise InputError(
                 f"--ignore: expected X,Y,W,H in whole pixels or an image, got '{text}'"
             )

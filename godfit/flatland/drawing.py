@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from godfit.errors import shown
 from godfit.flatland.canvas import Canvas
 from godfit.io.toml_table import Table
 from godfit.scenes.scene import MAX_PICTURE_SIDE

@@ -37,7 +37,7 @@ def frames(paths: Sequence[str], every: int, transfer: str = "none") -> Iterator
     Raises InputError for a file that cannot be read; before the first frame if a file is missing.
     """
     for path in paths:
-        if not Path(path).is_file():
+        if not os.path.isfile(path):
             raise InputError(f"'{path}': expected an image or a video, got no such file")
     return _every(paths, every, transfer)
 

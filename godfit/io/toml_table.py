@@ -7,6 +7,7 @@ then calls ``finish``, which raises for all other keys. All of them raise InputE
 from __future__ import annotations
 
 import difflib
+import os
 import re
 import tomllib
 from pathlib import Path
@@ -50,7 +51,7 @@ class Table:
         """The whole file. Raises InputError where it is missing, which names ``what`` it should
         be, and where it is not TOML."""
         try:
-            if not path.exists():
+            if not os.path.exists(path):
                 raise InputError(f"'{path}': expected {what}, got no such file")
             data = tomllib.loads(read_regular(path, "TOML", MAX_TEXT_BYTES).decode())
         except InputError:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import os
 import platform
 from importlib import metadata
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -193,7 +193,7 @@ def recorded(
         if given is not None:
             return given
         old = files.get(role, {}).get("path") or None
-        if old is not None and not Path(old).is_file():
+        if old is not None and not os.path.isfile(old):
             raise InputError(
                 f"{role}: expected '{old}', as '{path}' has it, got no such file here; "
                 f"give --{role} or run this where the fit was run"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import logging
+import os
 import re
 import urllib.parse
 import warnings
@@ -47,7 +48,7 @@ def load(path: Path) -> Mesh:
     """The mesh of a glTF, GLB, OBJ, PLY or STL file: its whole scene graph with transforms, without
     materials and textures. Raises InputError for a file that is missing, damaged or has no
     triangles."""
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise InputError(f"'{path}': expected a mesh, got no such file; check the path")
     suffix = path.suffix.lower()
     if suffix not in MESH_SUFFIXES:
@@ -252,7 +253,7 @@ def _check_gltf(path: Path) -> tuple[str, ...]:
             misread |= {f"{key} positions" for key in ("sparse", "normalized") if position.get(key)}
         uris = [image.get("uri", "data:") for image in tree.get("images", [])]
         files = [urllib.parse.unquote(u) for u in uris if not u.startswith("data:")]
-        missing = sum(not (path.parent / file).is_file() for file in files)
+        missing = sum(not os.path.isfile(path.parent / file) for file in files)
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(
             f"'{path}': expected a glTF 2.0 header, got {type(error).__name__}: {error}; "
