@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import shlex
 import sys
@@ -115,6 +116,8 @@ def working(run: Run) -> Iterator[Progress]:
         from godfit.runtime.program_cache import enable_program_cache, save_preload_list
 
         start_jax()
+        # matplotlib logs that it cannot store its list of fonts: a full disk costs time alone.
+        logging.getLogger("matplotlib").setLevel(logging.ERROR)
         enable_jax_cache()
         enable_program_cache()
         try:

@@ -48,7 +48,9 @@ def cache_folder() -> Path | None:
     if folder is None:
         return None
     if not folder.is_absolute():
-        return _refused(folder, f"expected an absolute path in {CACHE_VARIABLE}, got '{folder}'")
+        return _refused(
+            folder, f"expected an absolute path in {CACHE_VARIABLE}, got '{folder}'; give one"
+        )
     try:
         for missing in reversed([folder, *folder.parents]):
             if not missing.exists():
@@ -62,7 +64,9 @@ def cache_folder() -> Path | None:
         # Windows gives a user's folders to that user alone.
         return folder
     if {found.st_uid, link.st_uid} != {os.geteuid()}:
-        return _refused(folder, f"'{folder}': expected a folder of your own, got another user's")
+        return _refused(
+            folder, f"'{folder}': expected a folder of your own, got another user's; remove it"
+        )
     mode = stat.S_IMODE(found.st_mode)
     if not chosen and mode & ~_PRIVATE and not mode & _OTHERS_WRITE:
         # Earlier versions made it readable for others. No one else can have written to it.
@@ -93,7 +97,8 @@ def _refused(folder: Path, reason: str) -> None:
     if folder not in _warned:
         _warned.add(folder)
         warnings.warn(
-            f"cache: {reason}, or name another by {CACHE_VARIABLE}; nothing is stored or reused",
+            f"cache: {reason}, or name another folder by {CACHE_VARIABLE}; until then programs are "
+            "compiled in every run",
             RuntimeWarning,
             stacklevel=3,
         )
