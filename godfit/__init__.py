@@ -3,14 +3,15 @@
 ``fit`` estimates; ``Mitchell`` renders; both are built on ``radial_sum`` and ``Taps``.
 """
 
-from typing import TYPE_CHECKING
-
+# Nothing but this may be imported here. ``python -m godfit`` imports this file with the current
+# folder on the path, where a file may have the name of any module.
 from godfit.errors import InputError
-from godfit.io.image import Image, read_image, write_image
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from godfit.fitting import fit
     from godfit.inference.estimates import Estimate
+    from godfit.io.image import Image, read_image, write_image
     from godfit.models.mitchell import Mitchell
     from godfit.report.clip import ClipResult
     from godfit.report.result import FitResult
@@ -44,6 +45,7 @@ _HOMES = {
     "ClipResult": "godfit.report.clip",
     "Estimate": "godfit.inference.estimates",
     "FitResult": "godfit.report.result",
+    "Image": "godfit.io.image",
     "Mitchell": "godfit.models.mitchell",
     "Scene": "godfit.scenes.scene",
     "Taps": "godfit.scattering.taps",
@@ -51,12 +53,14 @@ _HOMES = {
     "fit_clip": "godfit.studies.clip",
     "radial_sum": "godfit.scattering.radial",
     "rasterise": "godfit.scenes.raster",
+    "read_image": "godfit.io.image",
     "read_scene": "godfit.scenes.scene",
+    "write_image": "godfit.io.image",
 }
 
 
 def __getattr__(name: str):
-    """Import names that need JAX on first use: the command line's help is then instant."""
+    """Import a public name at its first use."""
     if name not in _HOMES:
         raise AttributeError(f"module 'godfit' has no attribute '{name}'")
     import importlib

@@ -2,11 +2,27 @@
 
 from __future__ import annotations
 
+import sys
+
+if __name__ == "__main__" and not sys.flags.safe_path:
+    # ``python -m`` puts the current folder on the path, where a file beside the pictures may have
+    # the name of a module. An empty entry of PYTHONPATH means that folder too.
+    import os
+
+    sys.path[:] = [place for place in sys.path[1:] if os.path.abspath(place) != os.path.abspath("")]
+
+import os
+
+from godfit.runtime.interrupts import INTERRUPTED, end_on_interrupt, interrupt_message
+
+if __name__ == "__main__" or os.path.basename(sys.argv[0]) in ("godfit", "godfit.exe"):
+    end_on_interrupt()
+
 import difflib
 import gc
-import os
-import signal
-import sys
+import re
+import traceback
+import warnings
 from typing import Any
 
 import click
@@ -14,15 +30,16 @@ import click
 from godfit.commands.compare import compare
 from godfit.commands.fit import fit
 from godfit.commands.mask import mask
-from godfit.commands.progress import Progress
 from godfit.commands.render import render
 from godfit.commands.select import select
 from godfit.commands.shaders import shaders
 from godfit.commands.simplify import simplify
-from godfit.errors import InputError
+from godfit.errors import InputError, plain
+from godfit.runtime.files import forget_written, written_files
+from godfit.runtime.memory import available_memory
 
-INTERRUPTED = 130
-"""Exit status after an interrupt: 128 plus the number of SIGINT, as shells have it."""
+OUT_OF_MEMORY = re.compile("RESOURCE_EXHAUSTED|bad_alloc|[Oo]ut of memory")
+"""In the text of an error of XLA: there was no memory."""
 GARBAGE_THRESHOLD = 100_000
 """Objects that are allocated between two garbage collections; imports and tracing make many objects
 and little garbage, and a collection takes some hundredths of a command."""
@@ -41,6 +58,7 @@ for command in (fit, compare, select, simplify, render, mask, shaders):
 def main(arguments: list[str] | None = None) -> int:
     """Run a command and return its exit status: 0 done, 1 bad input, 2 bad usage, 3 not converged,
     130 interrupted. Errors are one line on stderr."""
+    forget_written()
     try:
         return cli.main(arguments, prog_name="godfit", standalone_mode=False) or 0
     except click.UsageError as error:
@@ -51,39 +69,58 @@ def main(arguments: list[str] | None = None) -> int:
     except click.ClickException as error:
         message, status = error.format_message(), 1
     except (click.Abort, KeyboardInterrupt):
-        message, status = "interrupted; nothing was written", INTERRUPTED
+        message, status = interrupt_message(), INTERRUPTED
     except InputError as error:
         message, status = str(error), 1
-    except MemoryError:
-        message, status = "out of memory; give a smaller target or free some", 1
+    except (MemoryError, RuntimeError) as error:
+        # XLA raises errors of its own, which are RuntimeErrors.
+        if not isinstance(error, MemoryError) and not OUT_OF_MEMORY.search(str(error)):
+            raise
+        has = available_memory()
+        room = "" if has is None else f", has {has / 2**30:.2g} GiB"
+        need = re.search(r"[\d.]+ ?([KMGT]i?B|bytes)", str(error))
+        message = f"out of memory: needs {f'another {need[0]}' if need else 'more'}{room}; "
+        message, status = message + f"give a smaller target; {written_files()}", 1
     except OSError as error:
         where = f"'{error.filename}': " if error.filename else ""
-        message, status = f"{where}{error.strerror or error}; nothing was written", 1
-    print(f"godfit: error: {' '.join(message.split())}", file=sys.stderr)
+        message, status = f"{where}{error.strerror or error}; {written_files()}", 1
+    print(f"godfit: error: {' '.join(plain(message).split())}", file=sys.stderr)
     return status
 
 
-def _interrupt(number: int, frame: Any) -> None:
-    Progress.interrupted = True
-    signal.default_int_handler(number, frame)
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    if not {"-q", "--quiet"} & {*sys.argv}:
+        print(f"godfit: warning: {' '.join(plain(str(message)).split())}", file=sys.stderr)
 
 
 def run() -> None:
     """The ``godfit`` command."""
+    end_on_interrupt()
     # A fit is a sequence of many small programs, for which a GPU takes longer than a CPU, and some
     # of them are compiled for CPUs alone. JAX reads this variable when it is first imported.
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
-    signal.signal(signal.SIGINT, _interrupt)
-    # Python prints an interrupt that falls into a finaliser and goes on; the next stage stops then.
-    sys.unraisablehook = lambda unraisable: (
-        None
-        if isinstance(unraisable.exc_value, KeyboardInterrupt)
-        else sys.__unraisablehook__(unraisable)
-    )
+    for variable in ("XDG_CACHE_HOME", "XDG_CONFIG_HOME"):
+        # As their rule says. matplotlib would make its folders in the current one.
+        if variable in os.environ and not os.path.isabs(os.environ[variable]):
+            del os.environ[variable]
+    warnings.showwarning = _show_warning
     gc.set_threshold(GARBAGE_THRESHOLD)
-    status = main()
-    sys.stdout.flush()
-    sys.stderr.flush()
+    try:
+        status = main()
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except BaseException as error:
+        # An exception that left here would end the interpreter while threads run compiled code.
+        status = 1
+        if {"-v", "--verbose"} & {*sys.argv}:
+            traceback.print_exc()
+        what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        print(
+            f"godfit: error: unexpected {' '.join(plain(what).split())}; {written_files()}; "
+            "please report it, with the lines that -v adds",
+            file=sys.stderr,
+            flush=True,
+        )
     # An ordinary exit takes a third of a second, and would free the memory of compiled programs
     # that an interrupt has left running.
     os._exit(status)

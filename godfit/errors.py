@@ -1,6 +1,7 @@
-"""InputError, the one exception whose message is printed to the user."""
+"""InputError, the one exception whose message is printed to the user.
 
-from __future__ import annotations
+This file imports nothing: see ``godfit/__init__.py``.
+"""
 
 LIKELIHOOD_INCOMPLETE = (
     "{}: expected a target whose only errors are noise and rounding, got one that was compressed "
@@ -10,14 +11,44 @@ LIKELIHOOD_INCOMPLETE = (
 simulated because the likelihood does not model compression or upsampling."""
 
 
+LONGEST_SHOWN = 200
+"""Characters of a name or a value that a message shows: whoever made a file chose its length."""
+
+
+def plain(text: str) -> str:
+    """One line that any terminal prints as it is: control characters are escaped, and words of
+    more than ``LONGEST_SHOWN`` characters are cut."""
+    line = " ".join(text.splitlines())
+    if not line.isprintable():
+        line = "".join(
+            c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in line
+        )
+    if len(line) <= LONGEST_SHOWN:
+        return line
+    return " ".join(
+        word if len(word) <= LONGEST_SHOWN else word[:LONGEST_SHOWN] + "..."
+        for word in line.split(" ")
+    )
+
+
+def shown(value: object) -> str:
+    """A value as messages show it, cut after ``LONGEST_SHOWN`` characters."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):
+        # A number of thousands of digits, or brackets nested as deeply.
+        return f"a {type(value).__name__} too long to show"
+    return text if len(text) <= LONGEST_SHOWN else text[:LONGEST_SHOWN] + "..."
+
+
 class InputError(ValueError):
     """One line that states what was expected, what was got and what to do."""
 
     def __init__(self, message: object) -> None:
-        super().__init__(" ".join(str(message).splitlines()))
+        super().__init__(plain(str(message)))
 
     @staticmethod
-    def within(error: Exception) -> InputError | None:
+    def within(error: Exception) -> "InputError | None":
         """The InputError that compiled code raised and JAX wrapped in ``error``; None if there is
         none."""
         _, found, rest = str(error).partition("InputError: ")

@@ -19,6 +19,7 @@ from scipy import ndimage
 
 from godfit.blind.consensus import votes_for
 from godfit.blind.segment import regions
+from godfit.errors import InputError
 from godfit.inference.observation import Picture
 from godfit.io.filters import shrink
 from godfit.io.image import LEVELS
@@ -150,6 +151,11 @@ def starts(
     goal = shrink(np.where(usable, mean, 0), (SIZE, SIZE)) / np.maximum(share, 1e-3)
     h, w = goal.shape
     chosen = np.random.default_rng(seed).permutation(np.flatnonzero(share > 0.5))[:POINTS]
+    if len(chosen) <= terms:
+        raise InputError(
+            "target: expected a picture that is not clipped nearly everywhere, got too few other "
+            "pixels; give one with a lower exposure"
+        )
     aspect = picture.size[1] / picture.size[0]
     u, v = (chosen % w + 0.5) / w, 1 - (chosen // w + 0.5) / h
     fine = shrink(open_, (FINE, FINE))

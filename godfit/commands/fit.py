@@ -11,7 +11,7 @@ import click
 from godfit.commands import STARTED
 from godfit.commands.clip import fit_frames
 from godfit.commands.lights import Lights, with_light
-from godfit.commands.options import BRIGHT_PASS, PICTURE, RESULT, Run, assignments
+from godfit.commands.options import BRIGHT_PASS, PICTURE, RESULT, Command, Run, assignments
 from godfit.commands.study import (
     NOT_CONVERGED,
     command_line,
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from godfit.report.result import FitResult
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("target", nargs=-1, required=True)
 @PICTURE
 @click.option(

@@ -6,15 +6,25 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from godfit.commands.options import BRIGHT_PASS, QUIET, SHADER, Run, valid_pixels, with_run
+from godfit.commands.options import (
+    BRIGHT_PASS,
+    LIMIT,
+    QUIET,
+    SHADER,
+    Command,
+    Run,
+    check_image_name,
+    valid_pixels,
+    with_run,
+)
 from godfit.commands.progress import Progress, warn
-from godfit.commands.study import working
+from godfit.commands.study import start_jax, working
 
 if TYPE_CHECKING:
     import numpy as np
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("scene", required=False)
 @click.option(
     "--from-image", "target", metavar="TARGET", help="Estimate the mask from this picture."
@@ -24,6 +34,7 @@ if TYPE_CHECKING:
 )
 @BRIGHT_PASS
 @SHADER
+@LIMIT
 @click.option(
     "--ignore",
     multiple=True,
@@ -47,12 +58,13 @@ def mask(scene: str | None, target: str | None, hard: bool, run: Run, **options:
     if (scene is None) == (target is None):
         got = "neither" if scene is None else "both"
         raise click.UsageError(f"expected SCENE.toml or --from-image TARGET, got {got}")
+    assert run.output is not None
+    check_image_name(run.output)
     if scene is not None:
         values, notes = mask_of_scene(scene, hard)
     else:
         assert target is not None
         values, notes = mask_of_picture(target, run, **options)
-    assert run.output is not None
     write_image(run.output, values)
     if not run.quiet:
         for note in notes:
@@ -66,6 +78,7 @@ def mask_of_scene(scene: str, hard: bool) -> tuple[np.ndarray, tuple[str, ...]]:
     from godfit.scenes.view import drawn_mask
 
     with Progress(quiet=False, verbose=False) as progress:
+        start_jax()
         progress("loading meshes")
         stage = read_scene(scene)
         progress("drawing")

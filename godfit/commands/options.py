@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -10,6 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from godfit.errors import InputError
+
+MAX_SEED = 2**31 - 1
+"""Largest seed: JAX takes seeds of 32 bits with a sign."""
 
 if TYPE_CHECKING:
     import numpy as np
@@ -26,6 +31,32 @@ def combined(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return decorate
 
 
+class Command(click.Command):
+    """A command none of whose arguments and options may be an empty text."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        rest = super().parse_args(ctx, args)
+        for parameter in self.get_params(ctx):
+            value = ctx.params.get(parameter.name or "")
+            if "" in (value if isinstance(value, tuple) else (value,)):
+                name = parameter.opts[-1] if parameter.opts[-1].startswith("-") else "argument"
+                raise click.UsageError(f"{name}: expected a value, got an empty text")
+        return rest
+
+
+def _limit_pixels(context: click.Context, option: click.Parameter, count: int | None) -> None:
+    from godfit.io.image import MAX_PIXELS, limit_pixels
+
+    limit_pixels(count or MAX_PIXELS)
+
+
+LIMIT = click.option(
+    "--max-pixels",
+    type=click.IntRange(1, 2**40),
+    callback=_limit_pixels,
+    expose_value=False,
+    help="Refuse larger images. [default: 134217728]",
+)
 SHADER = combined(
     click.option("--shader", help="Shader convention; see `godfit shaders`. [default: mitchell]"),
     click.option("--samples", type=int, help="Samples a ray. [default: the shader's own]"),
@@ -37,6 +68,7 @@ BRIGHT_PASS = click.option(
     help="Without a mask: the light is all that is bright in the picture, as in a photograph.",
 )
 PICTURE = combined(
+    LIMIT,
     click.option("--mask", help="Occlusion mask that the scattering pass reads."),
     click.option("--scene", help="Scene file: mask, camera, distances and light."),
     click.option("--canvas", help="Flatland: the canvas, an RGBA image or a .toml of shapes."),
@@ -96,7 +128,12 @@ VERBOSE = click.option("-v", "--verbose", is_flag=True, help="Print a line for e
 RESULT = with_run(
     click.option("-o", "--output", metavar="DIR", help="Result folder. [default: TARGET.godfit]"),
     JSON,
-    click.option("--seed", type=int, default=0, help="Seed of the random choice of pixels."),
+    click.option(
+        "--seed",
+        type=click.IntRange(0, MAX_SEED),
+        default=0,
+        help="Seed of the random choice of pixels.",
+    ),
     QUIET,
     VERBOSE,
 )
@@ -119,6 +156,11 @@ def assignments(
     return found
 
 
+def is_whole(text: str) -> bool:
+    """Whether a text is a whole number of a size that pixels have."""
+    return re.fullmatch(r"\s*[-+]?[0-9]{1,15}\s*", text) is not None
+
+
 def valid_pixels(ignore: tuple[str, ...], size: tuple[int, int]) -> np.ndarray | None:
     """(h, w), False inside the ``X,Y,W,H`` rectangles and where an image is not black."""
     if not ignore:
@@ -130,13 +172,13 @@ def valid_pixels(ignore: tuple[str, ...], size: tuple[int, int]) -> np.ndarray |
     valid = np.ones(size, bool)
     for text in ignore:
         numbers = text.split(",")
-        if len(numbers) == 4 and all(n.strip().lstrip("-").isdigit() for n in numbers):
+        if len(numbers) == 4 and all(map(is_whole, numbers)):
             x, y, w, h = (int(n) for n in numbers)
             if w <= 0 or h <= 0:
                 raise InputError(f"--ignore: expected a width and height above 0, got '{text}'")
             valid[max(y, 0) : max(y + h, 0), max(x, 0) : max(x + w, 0)] = False
             continue
-        if len(numbers) == 4 and not Path(text).exists():
+        if len(numbers) == 4 and not os.path.exists(text):
             raise InputError(
                 f"--ignore: expected X,Y,W,H in whole pixels or an image, got '{text}'"
             )
@@ -169,6 +211,20 @@ def numbers(text: str, form: str, option: str) -> tuple[float, ...]:
 def image_size(text: str) -> tuple[int, int]:
     """``WxH`` as (h, w) in pixels."""
     parts = text.lower().split("x")
-    if len(parts) != 2 or not all(p.isdigit() and int(p) > 0 for p in parts):
+    if len(parts) != 2 or not all(is_whole(p) and int(p) > 0 for p in parts):
         raise click.BadParameter(f"expected WxH in pixels, got '{text}'", param_hint="--size")
     return int(parts[1]), int(parts[0])
+
+
+def check_image_name(name: str) -> None:
+    """Raise InputError, before the work, for a name under which no image can be written."""
+    path = Path(name)
+    if path.suffix.lower() not in (".png", ".npy"):
+        raise InputError(
+            f"{name!r}: expected a name in .png or .npy, got {path.suffix!r}; rename it"
+        )
+    if path.is_dir() or not path.parent.is_dir():
+        got = "a folder" if path.is_dir() else f"no folder '{path.parent}'"
+        raise InputError(f"output: expected a file in a folder that exists, got {got}: '{name}'")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(f"output: '{path.parent}' cannot be written; choose another with -o")

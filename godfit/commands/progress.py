@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+from godfit.errors import plain
+
 SPINNER_DELAY = 1.0
 """Seconds after which a spinner is shown: shorter work needs none."""
 
@@ -25,9 +27,6 @@ class Progress:
     unless ``quiet``. With ``verbose`` each is a line, wherever stderr goes. Elsewhere a line now
     and then says what long work is doing."""
 
-    # Python drops an interrupt that comes while it runs a finaliser: the next stage checks again.
-    interrupted = False
-
     def __init__(self, quiet: bool, verbose: bool) -> None:
         from rich.console import Console
 
@@ -40,8 +39,6 @@ class Progress:
         self.status: Any = None
 
     def __call__(self, stage: str) -> None:
-        if Progress.interrupted:
-            raise KeyboardInterrupt
         elapsed = time.perf_counter() - self.began
         self.stage = stage
         if self.verbose:
@@ -76,4 +73,4 @@ class Progress:
 
 def warn(text: str) -> None:
     """Print a warning, one line."""
-    click.echo(f"godfit: warning: {text}", err=True)
+    click.echo(f"godfit: warning: {plain(text)}", err=True)

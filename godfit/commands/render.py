@@ -9,8 +9,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from godfit.commands.lights import Lights, with_light
-from godfit.commands.options import SHADER, colour, image_size
+from godfit.commands.options import (
+    LIMIT,
+    MAX_SEED,
+    SHADER,
+    Command,
+    check_image_name,
+    colour,
+    image_size,
+)
 from godfit.commands.progress import warn
+from godfit.commands.study import start_jax
 from godfit.errors import InputError
 
 if TYPE_CHECKING:
@@ -44,7 +53,11 @@ PARAMETER_OPTIONS = ("exposure", "decay", "density", "weight", "e_sun", "scale",
 """Options that are parameters of a model."""
 
 
-class RenderCommand(click.Command):
+RENDER_BYTES = 16
+"""Memory that a rendering takes a value, in bytes: the picture, the pass, and what is written."""
+
+
+class RenderCommand(Command):
     """``render``, with one line for what its options were until they got their present meaning."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -85,6 +98,7 @@ def published_name(context: click.Context, option: click.Parameter, name: str | 
 @click.option("--model", help="mitchell, hoffman-preetham, volume or flatland. [default: mitchell]")
 @click.option("--params", metavar="FIT.JSON", help="Take shader and parameters from a fit.")
 @SHADER
+@LIMIT
 @click.option("--exposure", type=float, help="Scale of the whole light pass.")
 @click.option("--decay", type=float, help="Weight of each tap relative to the one before it.")
 @click.option("--density", type=float, help="Share of the way to the light that taps reach.")
@@ -119,7 +133,11 @@ def published_name(context: click.Context, option: click.Parameter, name: str | 
 @click.option("--sun", metavar="R,G,B", help="Flatland: the sun's radiance. [default: .95,.95,.9]")
 @click.option("--sky", metavar="R,G,B", help="Flatland: the sky's radiance. [default: .02,.08,.2]")
 @click.option("--jitter", is_flag=True, help="Flatland: every pixel turns its rays; see --seed.")
-@click.option("--seed", type=int, help="Flatland: seed of jitter and film grain. [default: 0]")
+@click.option(
+    "--seed",
+    type=click.IntRange(0, MAX_SEED),
+    help="Flatland: seed of jitter and film grain. [default: 0]",
+)
 @click.option("--film-grain", type=float, metavar="SIGMA", help="Flatland: noise laid on.")
 @click.option(
     "--published",
@@ -187,11 +205,14 @@ def render(mask: str, output: str, transfer: str, bits: str, **options: Any) -> 
     from godfit.io.image import write_image
     from godfit.report.record import read_params
 
+    check_image_name(output)
+    start_jax()
     tolerance = options["tolerance"]
     if tolerance is not None and not 0 <= tolerance < float("inf"):
         raise click.BadParameter(
             f"expected a number of levels, 0 or more, got {tolerance:g}", param_hint="--tolerance"
         )
+    options["size"] = image_size(options["size"]) if options["size"] else None
     for name in ("sun", "sky"):
         options[name] = colour(options[name], f"--{name}")
     # A flag that is not set was not given.
@@ -321,6 +342,7 @@ def mitchell(picture: Picture, options: dict[str, Any]) -> np.ndarray:
     from godfit.io.sources import pass_size, shrink_mask
     from godfit.models.build import mitchell_at
     from godfit.runtime.device import on_device
+    from godfit.runtime.memory import check_memory
     from godfit.scattering.radial import cheapest
     from godfit.scenes.ordinary import ordinary_pass
     from godfit.scenes.scene import Scene
@@ -331,9 +353,13 @@ def mitchell(picture: Picture, options: dict[str, Any]) -> np.ndarray:
     whole = drawn.size if isinstance(drawn, Scene) else drawn.shape[:2]
     size = whole if background is None else background.shape[:2]
     if options["size"]:
-        size = image_size(options["size"])
+        size = options["size"]
     lights = picture.light.uv(size)
     model = mitchell_at(picture.settings, given_options(options, PARAMETER_OPTIONS), lights)
+    masks = [] if isinstance(drawn, Scene) else [drawn]
+    backs = [] if background is None else [background]
+    channels = max([np.atleast_3d(x).shape[2] for x in masks + backs], default=1)
+    check_memory(RENDER_BYTES * size[0] * size[1] * channels, "render")
     picture.check_background(size)
     scale = pass_scale(picture.settings, model.convention, whole, size)
     if isinstance(drawn, Scene):

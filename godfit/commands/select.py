@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from godfit.commands.lights import Lights, with_light
-from godfit.commands.options import PICTURE, RESULT, Run
+from godfit.commands.options import PICTURE, RESULT, Command, Run
 from godfit.commands.study import (
     NOT_CONVERGED,
     command_line,
@@ -19,7 +19,7 @@ from godfit.commands.study import (
 )
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("target")
 @PICTURE
 @with_light("Position of the light on rungs that hold it. [default: the scene's, or the middle]")

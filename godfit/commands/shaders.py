@@ -6,11 +6,13 @@ import textwrap
 
 import click
 
+from godfit.commands.options import Command
+
 LINE_WIDTH = 100
 """Columns of a line: those of the formulas, the longest of which needs nearly as many."""
 
 
-@click.command()
+@click.command(cls=Command)
 def shaders() -> int:
     """List the shader conventions with their formulas and defaults."""
     from godfit.scattering.taps import CONVENTIONS

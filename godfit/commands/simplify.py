@@ -6,11 +6,11 @@ from typing import Any
 
 import click
 
-from godfit.commands.options import JSON, QUIET, VERBOSE, Run, with_run
+from godfit.commands.options import JSON, QUIET, VERBOSE, Command, Run, with_run
 from godfit.commands.study import print_result, working
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("fit_json", metavar="FIT.JSON")
 @click.option(
     "--tolerance",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import shlex
 import sys
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
 
 NOT_CONVERGED = 3
 """Exit status of a fit that did not converge."""
+FIT_BYTES = 110
+"""Memory that a fit takes a pixel, in bytes: the difference between 1920x1080 and 512x512 pixels
+(docs/measured.md)."""
 PROGRAM_SETTINGS = {
     "model", "shader", "samples", "lights", "pass_scale", "transfer", "bright_pass",
 }  # fmt: skip
@@ -104,16 +108,36 @@ def drop_foreign(options: dict[str, Any], given: Mapping[str, Any]) -> None:
             options.pop(name, None)
 
 
+def start_jax() -> None:
+    """Import JAX. Raises InputError where there is too little memory for that, and where
+    ``JAX_PLATFORMS`` names no device that JAX finds."""
+    from godfit.runtime.malloc import return_freed_memory
+    from godfit.runtime.memory import check_program_memory
+
+    check_program_memory()
+    return_freed_memory()
+    import jax
+
+    try:
+        jax.devices()
+    except RuntimeError as error:
+        platforms = os.environ.get("JAX_PLATFORMS", "")
+        raise InputError(
+            f"JAX_PLATFORMS: expected names of devices, such as cpu, got '{platforms}': {error}"
+        ) from error
+
+
 @contextmanager
 def working(run: Run) -> Iterator[Progress]:
     """Show progress, and keep compiled programs and little memory."""
     with Progress(run.quiet, run.verbose) as progress:
         progress(LOADING)
         from godfit.runtime.cache import enable_jax_cache
-        from godfit.runtime.malloc import return_freed_memory
         from godfit.runtime.program_cache import enable_program_cache, save_preload_list
 
-        return_freed_memory()
+        start_jax()
+        # matplotlib logs that it cannot store its list of fonts: a full disk costs time alone.
+        logging.getLogger("matplotlib").setLevel(logging.ERROR)
         enable_jax_cache()
         enable_program_cache()
         try:
@@ -126,7 +150,12 @@ def prepare(
     options: dict[str, Any], run: Run, progress: Progress, size: tuple[int, ...] = ()
 ) -> None:
     """Replace the scene's file by the scene, and warn of defaults that are assumed. ``size`` is
-    the target's: each size has programs of its own."""
+    the target's: each size has programs of its own. Raises InputError for a size whose fit needs
+    more memory than there is."""
+    from godfit.runtime.memory import check_memory
+
+    if size:
+        check_memory(FIT_BYTES * size[0] * size[1], f"target: {size[1]}x{size[0]} pixels")
     if "scene" in options:
         from godfit.scenes.scene import read_scene
 

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from godfit.errors import shown
 from godfit.flatland.canvas import Canvas
 from godfit.io.toml_table import Table
 from godfit.scenes.scene import MAX_PICTURE_SIDE
@@ -158,7 +159,7 @@ def read_drawing(path: str | os.PathLike[str]) -> Drawing:
 def _shape(table: Table) -> Shape:
     kind = table.text("kind")
     if kind not in SHAPE_NUMBERS:
-        got = "nothing; add it" if kind is None else repr(kind)
+        got = "nothing; add it" if kind is None else shown(kind)
         raise table.error("kind", f"one of {', '.join(SHAPE_NUMBERS)}", got)
     numbers: dict[str, Any] = {}
     for name, count in SHAPE_NUMBERS[kind].items():
@@ -184,5 +185,5 @@ def _radiance(table: Table, key: str) -> list[float]:
         return list(table.colour(key, "#000000"))
     numbers = table.numbers(key, 3)
     if min(numbers) < 0:
-        raise table.error(key, "three numbers of 0 or more", repr(value))
+        raise table.error(key, "three numbers of 0 or more", shown(value))
     return numbers

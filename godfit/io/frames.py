@@ -10,8 +10,19 @@ from pathlib import Path
 import numpy as np
 
 from godfit.errors import InputError
-from godfit.io.image import LEVELS, MAX_PIXELS, Image, decode, read_image
+from godfit.io.image import LEVELS, Image, check_pixels, decode, read_image
 
+CONTAINERS = (
+    (slice(4, 8), b"ftyp", "mov"),
+    (slice(4, 8), b"moov", "mov"),
+    (slice(4, 8), b"mdat", "mov"),
+    (slice(4, 8), b"wide", "mov"),
+    (slice(4, 8), b"free", "mov"),
+    (slice(0, 4), b"\x1aE\xdf\xa3", "matroska"),
+    (slice(0, 4), b"RIFF", "avi"),
+)
+"""Bytes by which containers of videos are recognised, and FFmpeg's names for them. It would itself
+recognise a hundred more, among them texts that name addresses and other files to open."""
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
 """Suffixes of the files that are decoded as videos."""
 HEAD_BYTES = 1 << 16
@@ -60,7 +71,7 @@ def frames(paths: Sequence[str], every: int, transfer: str = "none") -> Iterator
     Raises InputError for a file that cannot be read; before the first frame if a file is missing.
     """
     for path in paths:
-        if not Path(path).is_file():
+        if not os.path.isfile(path):
             raise InputError(f"'{path}': expected an image or a video, got no such file")
     return _every(paths, every, transfer)
 
@@ -92,8 +103,7 @@ def _animation_frames(path: str) -> Iterator[tuple[int, np.ndarray]]:
 
     try:
         with _images(path) as image:
-            if image.width * image.height > MAX_PIXELS:
-                raise InputError(f"'{path}': expected at most {MAX_PIXELS} pixels, got more")
+            check_pixels((image.height, image.width))
             for number, frame in enumerate(ImageSequence.Iterator(image), 1):
                 shown = Pillow.new("RGB", frame.size)
                 whole = frame.convert("RGBA")
@@ -107,10 +117,29 @@ def _animation_frames(path: str) -> Iterator[tuple[int, np.ndarray]]:
 
 def _video_frames(path: str) -> Iterator[tuple[int, np.ndarray]]:
     """(number from 1, (h, w, 3) bytes) of every frame; decoded one at a time."""
-    import imageio.v3 as iio
-
     try:
-        yield from enumerate(iio.imiter(path, plugin="pyav", format="rgb24"), 1)
+        # Imported here: FFmpeg is needed for videos alone.
+        import av
+
+        with open(path, "rb") as file:
+            head = file.read(8)
+            name = next((name for place, magic, name in CONTAINERS if head[place] == magic), None)
+            if name is None:
+                raise InputError(
+                    f"'{path}': expected a video (MP4, MOV, MKV, WebM or AVI), got another file"
+                )
+            file.seek(0)
+            # As an open file and not as a name: nothing else is opened.
+            with av.open(file, "r", format=name) as container:
+                frames = container.decode(video=0)
+                for number, frame in enumerate(frames, 1):
+                    if number == 1:
+                        check_pixels((frame.height, frame.width))
+                    yield number, frame.to_ndarray(format="rgb24")
+    except InputError:
+        raise
+    except MemoryError:
+        raise InputError(f"'{path}': out of memory; expected a smaller video") from None
     except ImportError as error:
         raise InputError(
             f"'{path}': a video needs the package av, which is not installed; "

@@ -24,7 +24,9 @@ import numpy as np
 from godfit.errors import InputError
 from godfit.io import readers
 from godfit.io.readers import CheckSize, Reader, Samples
+from godfit.io.regular_files import read_regular
 from godfit.runtime.files import atomic_write
+from godfit.runtime.memory import check_memory
 
 LEVELS = 255.0
 """8-bit levels from black to white; residuals and noise are given in them."""
@@ -34,8 +36,11 @@ IMAGE_FORMATS = "PNG, JPEG, TIFF, EXR, WebP, AVIF, HDR, TGA, BMP, PPM or .npy"
 """Formats that are read, as errors name them; fewer than there are."""
 FEWEST_CODES = 16
 """Different codes that an image needs to tell how many of its bits are in use."""
-MAX_PIXELS = 2**29
-"""Pixels above which a header counts as damaged or a decompression bomb."""
+MAX_PIXELS = 2**27
+"""Pixels above which a header counts as damaged or a decompression bomb, unless ``limit_pixels``
+raises it: 11,585 squared, of which a colour image takes 1.6 GB."""
+READING_BYTES = 5
+"""Memory that reading takes a sample, in bytes: its code, and its value in float32."""
 SRGB_LINEAR_END = 0.04045
 """Encoded value at which sRGB's linear segment ends and its power begins (IEC 61966-2-1)."""
 SRGB_LINEAR_END_DECODED = 0.0031308
@@ -136,22 +141,17 @@ def read_layer(
     """As ``read_image``, with the alpha channel, (h, w) float32 from 0 to 1; None without one."""
     _checked_transfer(transfer)
     name = os.fsdecode(path)
-    try:
-        with open(name, "rb") as file:
-            data = file.read()
-    except (OSError, ValueError) as error:  # ValueError: a null character in the path
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(
-            f"{name!r}: cannot be read ({reason}); expected {IMAGE_FORMATS}"
-        ) from error
+    data = read_regular(name, IMAGE_FORMATS)
     kind, reader = _recognise(data, name)
     digest, notes = hashlib.sha256(data).hexdigest(), []
     try:
         with _quiet():
-            codes, top, step = reader(data, notes, _check_shape)
+            codes, top, step = reader(data, notes, check_pixels)
         del data  # up to a third of the memory in use
         values, quantum, alpha = _linear(codes, top, transfer, notes, finite)
         rounding = _rounding(codes, step, values)
+    except MemoryError:
+        raise InputError(f"{name!r} ({kind}): out of memory; expected a smaller image") from None
     except Exception as error:
         raise InputError(f"{name!r} ({kind}): {str(error) or type(error).__name__}") from error
     return Image(values, quantum, transfer, name, digest, tuple(notes), rounding), alpha
@@ -180,7 +180,7 @@ def write_image(
         got = f"{values.dtype} {values.shape}"
         raise InputError(f"{name!r}: expected numbers (h, w) or (h, w, 3), got {got}")
     try:
-        _check_shape(values.shape)
+        check_pixels(values.shape, values.size)
         with np.errstate(over="ignore"):
             values = _checked_finite(values.astype(np.float32, copy=False))
         if suffix == ".npy":
@@ -249,12 +249,27 @@ def not_finite(bad: np.ndarray) -> str:
     )
 
 
-def _check_shape(shape: tuple[int, ...]) -> None:
-    """Raise for an empty, huge or wrongly shaped image, if possible before it is decoded."""
+def limit_pixels(count: int = MAX_PIXELS) -> None:
+    """Let images have up to ``count`` pixels from now on."""
+    global _most_pixels
+    _most_pixels = count
+
+
+_most_pixels = MAX_PIXELS
+
+
+def check_pixels(shape: tuple[int, ...], most: int | None = None) -> None:
+    """Raise for an empty, huge or wrongly shaped image, if possible before it is decoded: one of
+    more than ``most`` pixels, by default the number set by ``limit_pixels``."""
+    most = most or _most_pixels
     if len(shape) not in (2, 3) or (len(shape) == 3 and not 1 <= shape[2] <= 4):
         raise InputError(f"expected a shape (h, w) or (h, w, 1 to 4), got {shape}")
-    if not 0 < shape[0] * shape[1] <= MAX_PIXELS or min(shape) < 0:
-        raise InputError(f"expected from 1 to {MAX_PIXELS} pixels, got {shape[0]} x {shape[1]}")
+    if not 0 < shape[0] * shape[1] <= most or min(shape) < 0:
+        raise InputError(
+            f"expected from 1 to {most} pixels, got {shape[0]} x {shape[1]}; "
+            "--max-pixels raises the limit"
+        )
+    check_memory(READING_BYTES * shape[0] * shape[1] * (shape[2] if len(shape) == 3 else 1))
 
 
 def _linear(
@@ -262,7 +277,7 @@ def _linear(
 ) -> tuple[np.ndarray, float | None, np.ndarray | None]:
     """The stored samples (h, w[, 1 to 4]), integers up to ``top``, -> linear float32 values,
     quantum and alpha, to which no transfer applies; adds to ``notes``."""
-    _check_shape(codes.shape)
+    check_pixels(codes.shape)
     kind = codes.dtype.newbyteorder("=").name
     if kind not in ("uint8", "uint16", "float16", "float32", "float64"):
         raise InputError(f"expected uint8, uint16 or 16 to 64-bit float samples, got {kind}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ def read_sidecar(target: str) -> dict[str, Any]:
     Raises InputError naming the file, the key, what was expected and what was got.
     """
     path = Path(target).with_suffix(".toml")
-    if not path.is_file():
+    if not os.path.isfile(path):
         return {}
     root = Table.read(path, "a file of options")
     options: dict[str, Any] = {}

@@ -13,6 +13,8 @@ from godfit.io.arrays import host_array, levels_of
 from godfit.io.filters import shrink
 from godfit.io.image import Image, decode, not_finite, quantum_of, read_image, with_alpha
 
+MAX_SAMPLE = 1e12
+"""Largest value that is fitted: the sum of the squares of 2^29 values is finite in float32."""
 Source = Any
 """An image as users give it: a file's name, an ``Image``, or an array of any library."""
 
@@ -28,9 +30,9 @@ def read_source(
     not. ``name`` says in errors what the image is.
     """
     if isinstance(source, Image):
-        return source
+        return _checked_size(source)
     if isinstance(source, (str, os.PathLike)):
-        return read_image(source, transfer=transfer, finite=finite)
+        return _checked_size(read_image(source, transfer=transfer, finite=finite))
     array = host_array(source, name)
     if array.ndim not in (2, 3) or array.shape[2:] not in ((), (1,), (3,), (4,)):
         raise InputError(f"{name}: expected shape (h, w) or (h, w, 3), got {array.shape}")
@@ -48,7 +50,18 @@ def read_source(
     if quantum is None and array.dtype.kind == "f" and not bad.any():
         quantum = quantum_of(values)
     image = Image(np.asarray(decode(values, transfer)), quantum, transfer, "", "", notes)
-    return image if alpha is None else with_alpha(image, alpha)
+    return _checked_size(image if alpha is None else with_alpha(image, alpha))
+
+
+def _checked_size(image: Image) -> Image:
+    """The image; raises InputError where sums of its squares are not finite in float32."""
+    values = image.values
+    if values.size and max(values.max(), -values.min()) > MAX_SAMPLE:
+        raise InputError(
+            f"{image.path or 'image'}: expected values of at most {MAX_SAMPLE:g}, got "
+            f"{abs(values).max():.3g}; scale them first"
+        )
+    return image
 
 
 def without_holes(target: Image, valid: np.ndarray | None, name: str = "target") -> Image:

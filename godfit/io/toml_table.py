@@ -7,6 +7,7 @@ then calls ``finish``, which raises for all other keys. All of them raise InputE
 from __future__ import annotations
 
 import difflib
+import os
 import re
 import tomllib
 from pathlib import Path
@@ -14,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from godfit.errors import InputError
+from godfit.errors import InputError, shown
+from godfit.io.regular_files import MAX_TEXT_BYTES, read_regular
 
 Colour = tuple[float, float, float]
 
@@ -41,7 +43,7 @@ class Table:
         # The keys that were requested or allowed, in order: a set, as dicts keep their order.
         self.known: dict[str, None] = {}
         if not isinstance(data, dict):
-            raise InputError(f"'{path}': {name}: expected a table, got {data!r}")
+            raise InputError(f"'{path}': {name}: expected a table, got {shown(data)}")
         self.data = data
 
     @staticmethod
@@ -49,9 +51,13 @@ class Table:
         """The whole file. Raises InputError where it is missing, which names ``what`` it should
         be, and where it is not TOML."""
         try:
-            data = tomllib.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise InputError(f"'{path}': expected {what}, got no such file") from None
+            if not os.path.exists(path):
+                raise InputError(f"'{path}': expected {what}, got no such file")
+            data = tomllib.loads(read_regular(path, "TOML", MAX_TEXT_BYTES).decode())
+        except InputError:
+            raise
+        except RecursionError:
+            raise InputError(f"'{path}': expected TOML, got brackets nested too deeply") from None
         except (OSError, ValueError) as error:  # Not UTF-8, not TOML, or a null in the path.
             raise InputError(f"'{path}': expected TOML, got {error}; mend the file") from error
         return Table(path, "", data)
@@ -77,7 +83,7 @@ class Table:
         # Python counts True and False as whole numbers.
         wrong = not isinstance(value, types) or (isinstance(value, bool) and kind is not bool)
         if value is not None and wrong:
-            raise self.error(key, expected, repr(value))
+            raise self.error(key, expected, shown(value))
         return value
 
     def text(self, key: str) -> str | None:
@@ -114,7 +120,7 @@ class Table:
             expected += f" and below {below:g}"
         value = self.get(key, default, expected)
         if not is_number(value) or not above < value < below:
-            raise self.error(key, expected, repr(value))
+            raise self.error(key, expected, shown(value))
         return float(value)
 
     def whole(self, key: str, least: int, most: int, default: int | None = None) -> int:
@@ -122,7 +128,7 @@ class Table:
         expected = f"a whole number from {least} to {most}"
         value = self.get(key, default, expected)
         if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
-            raise self.error(key, expected, repr(value))
+            raise self.error(key, expected, shown(value))
         return value
 
     def numbers(
@@ -138,7 +144,7 @@ class Table:
             expected += f" above {above:g}"
         value = self.get(key, default, expected)
         if not _are_numbers(value, count) or not all(v > above for v in value):
-            raise self.error(key, expected, repr(value))
+            raise self.error(key, expected, shown(value))
         return [float(v) for v in value]
 
     def three(
@@ -156,7 +162,7 @@ class Table:
             or len(value) < MIN_POLYGON_POINTS
             or not all(_are_numbers(point, 2) for point in value)
         ):
-            raise self.error(key, expected, repr(value))
+            raise self.error(key, expected, shown(value))
         return [[float(x), float(y)] for x, y in value]
 
     def colour(self, key: str, default: str | list[float]) -> Colour:
@@ -169,7 +175,7 @@ class Table:
             return r, g, b
         if isinstance(value, list) and _are_numbers(value, 3) and all(0 <= v <= 1 for v in value):
             return float(value[0]), float(value[1]), float(value[2])
-        raise self.error(key, expected, repr(value))
+        raise self.error(key, expected, shown(value))
 
     def may_have(self, *keys: str) -> None:
         """Allow keys that need not be requested."""

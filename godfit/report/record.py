@@ -5,16 +5,17 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import os
 import platform
 from importlib import metadata
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from godfit.errors import InputError
+from godfit.errors import InputError, shown
 from godfit.io.filters import shrink
 from godfit.io.image import read_image
+from godfit.io.regular_files import MAX_TEXT_BYTES, read_regular
 from godfit.models.build import mitchell_at
 from godfit.models.mitchell import Mitchell
 from godfit.scenes.scene import read_scene
@@ -30,6 +31,42 @@ MODEL_SETTINGS = (
     "model", "shader", "samples", "rays", "phase", "fov", "distance", "pass_scale",
 )  # fmt: skip
 """Keys of fit.json that describe the model and its light pass and are not fitted."""
+
+
+_NUMBER = {"type": "number", "minimum": -1e18, "maximum": 1e18}
+_SIDES = {
+    "type": "array",
+    "items": {"type": "integer", "minimum": 1, "maximum": 2**20},
+    "minItems": 2,
+    "maxItems": 2,
+}
+_TEXT = {"type": "string", "maxLength": 4096}
+FIT_SCHEMA: dict[str, Any] = {
+    "type": "object",
+    "required": ["params"],
+    "properties": {
+        "params": {
+            "type": "object",
+            "additionalProperties": {
+                "type": "object",
+                "required": ["value"],
+                "properties": {"value": _NUMBER},
+            },
+        },
+        "inputs": {
+            "type": "object",
+            "additionalProperties": {
+                "type": "object",
+                "properties": {"path": _TEXT, "sha256": _TEXT},
+            },
+        },
+        **dict.fromkeys(("model", "shader", "phase", "transfer"), _TEXT),
+        **{key: {"type": "integer", "minimum": 1, "maximum": 10**6} for key in ("samples", "rays")},
+        **dict.fromkeys(("fov", "distance"), _NUMBER),
+        **dict.fromkeys(("size", "pass_size"), _SIDES),
+    },
+}
+"""What is read from a fit.json, as JSON Schema (draft 2020-12)."""
 
 
 def fit_record(result: FitResult, command: str = "") -> dict[str, Any]:
@@ -102,16 +139,29 @@ class Recorded:
 
 def read_record(path: str) -> dict[str, Any]:
     """The whole of a fit.json. Raises InputError for anything else."""
+    # Imported here: most commands read no record.
+    from jsonschema import Draft202012Validator
+    from jsonschema.exceptions import best_match
+
+    def refuse(name: str) -> None:
+        raise ValueError(f"{name} is no number of JSON")
+
+    data = read_regular(path, "a fit.json", MAX_TEXT_BYTES)
     try:
-        record = json.loads(Path(path).read_text(encoding="utf-8"))
-        if not isinstance(record["params"], dict):
-            raise TypeError("params is no table")
-        for entry in record["params"].values():
-            float(entry["value"])
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        record = json.loads(data.decode(), parse_constant=refuse)
+        error = best_match(Draft202012Validator(FIT_SCHEMA).iter_errors(record))
+    except RecursionError:
+        raise InputError(f"'{path}': expected a fit.json, got brackets nested too deeply") from None
+    except ValueError as error:  # Not UTF-8, not JSON, or a number of thousands of digits.
+        raise InputError(f"'{path}': expected a fit.json, got {error}") from error
+    if error is not None:
+        where = ".".join(map(str, error.absolute_path)) or "the whole"
+        rule, value = error.validator, error.validator_value
+        expected = f"{rule if rule != 'type' else 'the type'} {shown(value)}"
         raise InputError(
-            f"'{path}': expected a fit.json, got {type(error).__name__}: {error}"
-        ) from error
+            f"'{path}': expected a fit.json; {where}: expected {expected}, "
+            f"got {shown(error.instance)}"
+        )
     return record
 
 
@@ -149,7 +199,7 @@ def recorded(
         if given is not None:
             return given
         old = files.get(role, {}).get("path") or None
-        if old is not None and not Path(old).is_file():
+        if old is not None and not os.path.isfile(old):
             raise InputError(
                 f"{role}: expected '{old}', as '{path}' has it, got no such file here; "
                 f"give --{role} or run this where the fit was run"
@@ -191,10 +241,7 @@ def _pair(record: dict[str, Any], key: str) -> tuple[int, int] | None:
     """``[columns, rows]`` -> (rows, columns)."""
     if key not in record:
         return None
-    try:
-        columns, rows = (int(n) for n in record[key])
-    except (TypeError, ValueError) as error:
-        raise InputError(f"fit.json: {key}: expected [width, height], got {record[key]}") from error
+    columns, rows = record[key]
     return rows, columns
 
 

@@ -4,13 +4,14 @@ JAX's own cache saves a second run the compilation, but not tracing the Python f
 it to StableHLO, which is then a third of a short command. This cache stores the executable itself
 (``jax.experimental.serialize_executable``).
 
-**What is stored.** The folder ``programs-<hash>`` holds one file per program. The hash is that of
-everything that all programs depend on: this package's sources, the versions of JAX, numba and
-Python, the processor, the flags of XLA. A file's name is a hash of what distinguishes one program
-from another: the function, the shapes and types of its arrays, its settings. Its content is a
-pickle of three things: the names of the custom calls in the program, the structure of its result,
-and the serialised executable. A program that cannot be stored, or whose file cannot be loaded, is
-compiled.
+**What is stored.** The folder ``programs-<time>-<hash>`` holds one file per program. The time is
+that of this package's newest source file. The hash is that of everything else that all programs
+depend on: the versions of JAX, numba and Python, the processor, the flags of XLA. A file's name is
+a hash of what distinguishes one program from another: the function, the shapes and types of its
+arrays, its settings. Its content is a pickle of three things: the names of the custom calls in the
+program, the structure of its result, and the serialised executable. It is unpickled only where the
+file's checksum holds (``godfit.runtime.checked_files``). A program that cannot be stored, or whose
+file cannot be loaded, is compiled.
 
 **What is read ahead.** Loading a program takes a twentieth of a second, on a thread that waits for
 nothing but the file. Each command therefore saves a list of the program files it has used, under
@@ -26,14 +27,12 @@ loaded program is never lowered, so the names that were stored with it are regis
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import hashlib
 import os
 import pickle
 import platform
 import re
-import secrets
 import sys
 import threading
 from collections.abc import Callable
@@ -48,13 +47,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from godfit.runtime.cache import cache_folder, newest_source_time
-from godfit.runtime.files import atomic_write
+from godfit.runtime.cache import STORED_ELSEWHERE, version_folder
+from godfit.runtime.checked_files import discard, read_checked, write_checked
 
 Program = Callable[..., Any]
 
 CUSTOM_CALL = re.compile(r"custom_call @(\w+)")
 """A custom call in the text of a lowered program, with the name of its target."""
+PROGRAM_NAME = re.compile("[0-9a-f]{64}")
+"""The name of a program's file."""
 LAPACK_PREFIX = "lapack_"
 """How the names of the custom calls begin that JAX registers for LAPACK."""
 COMPILER_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
@@ -79,9 +80,8 @@ _workload = ""
 def enable_program_cache() -> None:
     """Store and load programs from now on, if there is a cache folder and the device is a CPU."""
     global _folder
-    folder = cache_folder()
-    if folder is not None and jax.default_backend() == "cpu":
-        _folder = folder / f"programs-{_environment_hash()}"
+    if jax.default_backend() == "cpu":
+        _folder = version_folder("programs", _environment_hash())
 
 
 def disable_program_cache() -> None:
@@ -105,12 +105,9 @@ def preload_programs(workload: str) -> None:
     folder, _workload = _folder, workload
     if folder is None:
         return
-    try:
-        names = _preload_list(folder).read_text().split()
-    except OSError:
-        # No earlier command had this workload.
-        return
-    futures = {name: Future() for name in names}
+    # Nothing where no earlier command had this workload.
+    names = (read_checked(_preload_list(folder)) or b"").decode().split()
+    futures = {name: Future() for name in names if PROGRAM_NAME.fullmatch(name)}
     _preloads.update(futures)
     for name, future in futures.items():
         # False where ``_stored_program`` has cancelled it to load the file itself.
@@ -124,9 +121,10 @@ def save_preload_list() -> None:
     Cancels what has not been read ahead yet, and waits for the file that is being read.
     """
     wait([future for future in _preloads.values() if not future.cancel()])
-    with contextlib.suppress(OSError):
-        if _workload and _folder is not None and _folder.is_dir():
-            atomic_write(_preload_list(_folder), "\n".join(_used_files).encode())
+    if _workload and _folder is not None and _used_files:
+        file, names = _preload_list(_folder), "\n".join(_used_files).encode()
+        if read_checked(file) != names:
+            write_checked(file, names)
 
 
 def _preload_list(folder: Path) -> Path:
@@ -221,8 +219,8 @@ def _load_or_compile(folder: Path, key: tuple, arrays: list[Any]) -> tuple[Progr
         return jax.tree.leaves(result)
 
     # An executable that JAX has loaded from its own cache is serialised without some of its parts.
-    # A name that no other run has used keeps JAX from finding one there.
-    leaves.__name__ = of_arrays.__name__ + secrets.token_hex(8)
+    # By this name JAX finds and stores none there.
+    leaves.__name__ = STORED_ELSEWHERE + of_arrays.__name__
     lowered = jax.jit(leaves).lower(*arrays)
     executable = _compile(lowered)
     (structure,) = structures
@@ -263,12 +261,16 @@ def _load(file: Path) -> Program | None:
     one of its custom calls is unknown."""
     from jax.experimental.serialize_executable import deserialize_and_load
 
+    content = read_checked(file)
+    if content is None:
+        return None
     try:
-        custom_calls, structure, *executable = pickle.loads(file.read_bytes())
+        custom_calls, structure, *executable = pickle.loads(content)
         if not all(map(_register_custom_call, custom_calls)):
             return None
         return _with_structure(deserialize_and_load(*executable), structure)
     except Exception:
+        discard(file)
         return None
 
 
@@ -280,11 +282,10 @@ def _store(file: Path, executable: Any, structure: Any, custom_calls: list[str])
         if not all(map(_register_custom_call, custom_calls)):
             return
         content = pickle.dumps((custom_calls, structure, *serialize(executable)))
-        file.parent.mkdir(parents=True, exist_ok=True)
-        atomic_write(file, content)
     except Exception:
-        # A full disk, or an executable that cannot be serialised: a later run compiles it again.
+        # An executable that cannot be serialised: a later run compiles it again.
         return
+    write_checked(file, content)
 
 
 def _register_custom_call(name: str) -> bool:
@@ -304,7 +305,7 @@ def _register_lapack() -> None:
 
 
 def _environment_hash() -> str:
-    """A hash of everything that every program depends on."""
+    """A hash of everything but the package's sources that every program depends on."""
     try:
         import llvmlite.binding as llvm
         import numba
@@ -315,5 +316,5 @@ def _environment_hash() -> str:
         processor = platform.machine(), platform.processor()
     flags = os.environ.get("XLA_FLAGS", "")
     versions = jax.__version__, version("jaxlib"), sys.version
-    parts = (*versions, processor, flags, jax.device_count(), newest_source_time())
+    parts = (*versions, processor, flags, jax.device_count())
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]

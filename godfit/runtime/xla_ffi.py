@@ -23,7 +23,7 @@ from numba import (
 )
 from numba.extending import intrinsic
 
-from godfit.runtime.cache import enable_numba_cache
+from godfit.runtime.numba_cache import store_compiled
 from godfit.runtime.numba_jit import inlined_jit
 
 _WORDS = types.CPointer(types.int64)
@@ -127,10 +127,26 @@ def declare(prefix: str, functions: dict[Any, Any]) -> dict[Any, str]:
     return names
 
 
+def _compiled(function: Any) -> Any:
+    """The C function of ``function``, compiled, or loaded from the cache where numba allows it."""
+    signature = types.int64(_WORDS)
+    try:
+        from numba.core.ccallback import CFunc
+        from numba.core.sigutils import normalize_signature
+
+        # ``cfunc`` compiles at once, before its cache could be replaced.
+        compiled = CFunc(function, normalize_signature(signature), locals={}, options={})
+        store_compiled(compiled, function)
+    except Exception:
+        return cfunc(signature)(function)
+    compiled.compile()
+    return compiled
+
+
 def register(name: str) -> bool:
     """Register the custom call of this name with XLA on the CPU; False if none was declared.
 
-    The function is compiled, or loaded from numba's cache, at the first registration. The lock is
+    The function is compiled, or loaded from the cache, at the first registration. The lock is
     one per name, so that no thread waits for a function other than its own.
     """
     target = _declared.get(name)
@@ -138,7 +154,7 @@ def register(name: str) -> bool:
         return False
     with target.lock:
         if not target.registered.is_set():
-            compiled = cfunc(types.int64(_WORDS), cache=enable_numba_cache())(target.function)
+            compiled = _compiled(target.function)
             jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(compiled.ctypes), platform="cpu")
             target.registered.set()
     return True
@@ -163,10 +179,10 @@ def call(name: str, result: jax.ShapeDtypeStruct, *arguments: jax.Array, ranks: 
                 f"{argument.ndim} in {argument.dtype}"
             )
     register(name)
-    return _compiled(name, result)(*arguments)
+    return _without_derivative(name, result)(*arguments)
 
 
-def _compiled(name: str, result: jax.ShapeDtypeStruct) -> Any:
+def _without_derivative(name: str, result: jax.ShapeDtypeStruct) -> Any:
     """The custom call, which says what to do where its derivative is needed."""
 
     @jax.custom_jvp

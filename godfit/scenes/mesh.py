@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import logging
+import os
 import re
 import urllib.parse
 import warnings
@@ -47,7 +48,7 @@ def load(path: Path) -> Mesh:
     """The mesh of a glTF, GLB, OBJ, PLY or STL file: its whole scene graph with transforms, without
     materials and textures. Raises InputError for a file that is missing, damaged or has no
     triangles."""
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise InputError(f"'{path}': expected a mesh, got no such file; check the path")
     suffix = path.suffix.lower()
     if suffix not in MESH_SUFFIXES:
@@ -61,6 +62,11 @@ def load(path: Path) -> Mesh:
         raise InputError(f"'{path}': expected triangles, got none; export faces, not points")
     first, vertices, faces = 0, [], []
     for v, f in parts:
+        if v.shape[1:] != (3,) or f.shape[1:] != (3,):
+            raise InputError(
+                f"'{path}': expected three coordinates a vertex and three corners a face, got "
+                f"arrays {v.shape} and {f.shape}; export it again"
+            )
         if f.min() < 0 or f.max() >= len(v):
             raise InputError(
                 f"'{path}': expected indices from 0 to {len(v) - 1}, got {f.min()} to {f.max()}; "
@@ -106,6 +112,8 @@ def _loaded(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
             ]
     except InputError:
         raise
+    except MemoryError:
+        raise InputError(f"'{path}': out of memory; expected a smaller mesh") from None
     except Exception as error:
         # trimesh's loaders raise whatever their parsers raise. An ImportError means that binary
         # data was taken for text, and that the package which guesses encodings is missing.
@@ -245,8 +253,8 @@ def _check_gltf(path: Path) -> tuple[str, ...]:
             misread |= {f"{key} positions" for key in ("sparse", "normalized") if position.get(key)}
         uris = [image.get("uri", "data:") for image in tree.get("images", [])]
         files = [urllib.parse.unquote(u) for u in uris if not u.startswith("data:")]
-        missing = sum(not (path.parent / file).is_file() for file in files)
-    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        missing = sum(not os.path.isfile(path.parent / file) for file in files)
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(
             f"'{path}': expected a glTF 2.0 header, got {type(error).__name__}: {error}; "
             "export it again"

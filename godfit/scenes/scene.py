@@ -24,10 +24,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from godfit.errors import InputError
+from godfit.errors import InputError, shown
 from godfit.io.image import TRANSFERS
 from godfit.io.sidecar import SIDECAR_SCATTERING
 from godfit.io.toml_table import Colour, Table
+from godfit.runtime.memory import check_memory
 from godfit.scattering.parameters import SCATTERING as PARAMETERS
 from godfit.scattering.taps import convention
 from godfit.scenes import mesh
@@ -42,6 +43,8 @@ GREY = (0.5, 0.5, 0.5)
 """Albedo of an object that has none: it leaves room for the light pass."""
 MAX_PICTURE_SIDE = 16384
 """Largest height and width of a picture, in pixels: a mask of that side takes a gigabyte."""
+DRAWING_BYTES = 50
+"""Memory that drawing a mask takes a pixel, in bytes, measured at 4096x4096."""
 SCATTERING_KEYS: dict[str, type] = {
     k: v for k, v in SIDECAR_SCATTERING.items() if k not in ("lights", "model", "rays")
 } | dict.fromkeys(("exposure", "decay", "density", "weight"), float)
@@ -198,6 +201,8 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
     path = Path(path)
     root = Table.read(path, "a scene file")
     image, camera, light = (root.table(key) for key in ("image", "camera", "light"))
+    size = tuple(image.whole(side, 1, MAX_PICTURE_SIDE) for side in ("height", "width"))
+    check_memory(DRAWING_BYTES * size[0] * size[1], f"'{path}': {size[1]}x{size[0]} pixels")
     background, scattering, ordinary = (
         root.table(key, {}) for key in ("background", "scattering", "ordinary")
     )
@@ -220,7 +225,7 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
         ),
         tuple(obj for obj, _ in parts),
         background.colour("colour", "#000000"),
-        (image.whole("height", 1, MAX_PICTURE_SIDE), image.whole("width", 1, MAX_PICTURE_SIDE)),
+        (size[0], size[1]),
         image.switch("antialias"),
         tuple((key, _setting(scattering, key)) for key in list(scattering.data)),
         tuple(note for _, notes in parts for note in notes),
@@ -247,7 +252,7 @@ def _object(table: Table) -> tuple[Object, tuple[str, ...]]:
     else:
         assert kind is not None
         if kind not in mesh.PRIMITIVES:
-            raise table.error("primitive", f"one of {', '.join(mesh.PRIMITIVES)}", repr(kind))
+            raise table.error("primitive", f"one of {', '.join(mesh.PRIMITIVES)}", shown(kind))
         sizes = {}
         for key, default in mesh.PRIMITIVES[kind][1].items():
             if isinstance(default, list):
@@ -290,9 +295,9 @@ def _setting(table: Table, key: str) -> Any:
     value = table.optional(key, SCATTERING_KEYS[key])
     expected = SCATTERING_LIMITS.get(key)
     if expected and not expected[0] <= value <= expected[1]:
-        raise table.error(key, f"from {expected[0]:g} to {expected[1]:g}", repr(value))
+        raise table.error(key, f"from {expected[0]:g} to {expected[1]:g}", shown(value))
     if key == "transfer" and value not in TRANSFERS:
-        raise table.error(key, " or ".join(map(repr, TRANSFERS)), repr(value))
+        raise table.error(key, " or ".join(map(repr, TRANSFERS)), shown(value))
     if key == "shader":
         try:
             convention(value)

@@ -112,6 +112,12 @@ def _compared(rungs: list[Rung], ladder: Ladder, share: float) -> tuple[list[Row
     known = np.isfinite(lo) & np.isfinite(hi)
     middle = (np.where(known, lo, 0) + np.where(known, hi, 0)) / 2
     scores, sizes = zip(*parallel_map(lambda rung: _held_out(rung, ladder), rungs), strict=True)
+    total = float(sizes[0].sum())
+    if total == 0:
+        raise InputError(
+            "target: expected pixels that can be held out, got too few pixels for that; "
+            "give a larger picture"
+        )
     likelihoods = [share * rung.settled.log_likelihood for rung in rungs]
     bics = [bic(lk, r.parameters, values) for lk, r in zip(likelihoods, rungs, strict=True)]
     best = int(np.argmin(bics))
@@ -121,7 +127,6 @@ def _compared(rungs: list[Rung], ladder: Ladder, share: float) -> tuple[list[Row
         error = math.sqrt(len(behind) * float(behind.var()))
         residual = np.where(known, rung.tangent.prediction - middle, 0)
         rmse = math.sqrt(float(np.square(residual).sum(dtype=np.float64)) / max(known.sum(), 1))
-        total = sizes[0].sum()
         rows.append(
             Row(
                 rung=rung,
@@ -130,7 +135,7 @@ def _compared(rungs: list[Rung], ladder: Ladder, share: float) -> tuple[list[Row
                 bic=schwarz,
                 held_out=float(score.sum() / total),
                 behind=float(behind.sum() / total),
-                behind_error=error / float(total),
+                behind_error=error / total,
                 like_noise=like_noise(rung, observation),
             )
         )

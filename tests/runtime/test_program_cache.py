@@ -1,5 +1,6 @@
 """Programs kept from one run to the next: the same answers, neither traced nor compiled again."""
 
+import os
 import threading
 
 import jax
@@ -12,6 +13,7 @@ from godfit.flatland.model import Flatland
 from godfit.inference.evaluate import model_at
 from godfit.runtime import program_cache
 from godfit.runtime.cache import CACHE_VARIABLE
+from godfit.runtime.checked_files import write_checked
 from godfit.scattering.radial.exact import EXACT
 
 MODEL = Mitchell(0.05, 0.98, 0.8, 0.7, (0.5, 0.6), "dawntime", 20)
@@ -91,7 +93,7 @@ def test_what_it_depends_on_makes_another(traced, another_run):
     assert len(traced) == before
 
 
-@pytest.mark.parametrize("content", [b"", b"half a program"])
+@pytest.mark.parametrize("content", [b"", b"half a program", b"cbuiltins\nexit\n(tR."])
 def test_a_file_that_cannot_be_read_is_made_anew(traced, another_run, content):
     another_run()
     light = made(traced)
@@ -103,6 +105,54 @@ def test_a_file_that_cannot_be_read_is_made_anew(traced, another_run, content):
     assert traced == [1, 1]
     (file,) = another_run()
     assert len(file.read_bytes()) == len(whole)
+
+
+def test_a_flipped_bit_is_found_wherever_it_is(traced, another_run):
+    """Machine code with another bit would end the process."""
+    another_run()
+    light = made(traced)
+    light(MODEL, MASK, 1)
+    (file,) = another_run()
+    whole = file.read_bytes()
+    for place in np.random.default_rng(0).integers(8 * len(whole), size=200):
+        damaged = bytearray(whole)
+        damaged[place // 8] ^= 1 << place % 8
+        file.write_bytes(damaged)
+        assert program_cache._load(file) is None
+        assert not file.exists()
+    file.write_bytes(whole)
+    assert program_cache._load(file) is not None
+
+
+def test_a_list_names_programs_alone(traced, another_run, loaded, tmp_path):
+    another_run()
+    light = made(traced)
+    program_cache.preload_programs("a picture")
+    light(MODEL, MASK, 1)
+    program_cache.save_preload_list()
+    needed = [*loaded]
+    another_run()
+    loaded.clear()
+    (notes,) = tmp_path.rglob("needed-*")
+    write_checked(notes, f"../x {tmp_path}/x {needed[0]}".encode())
+    program_cache.preload_programs("a picture")
+    assert loaded == needed
+
+
+def test_a_full_disk_costs_time_alone(traced, another_run, monkeypatch):
+    another_run()
+
+    def full(descriptor):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    program_cache.preload_programs("a picture")
+    light = made(traced)
+    np.testing.assert_allclose(
+        light(MODEL, MASK, 1)[0], MODEL.light_pass(jnp.asarray(MASK)), rtol=1e-12
+    )
+    program_cache.save_preload_list()
+    assert not another_run()
 
 
 def test_what_was_compiled_before_is_kept_whole(traced, another_run):

@@ -1,0 +1,50 @@
+"""An interrupt ends the program at once, with one line and without an exception.
+
+An exception that arises while a native library is being loaded, or while its threads run, leaves
+that library half set up: the process then ends in a segmentation fault. So SIGINT has a handler
+from the start, which ends the process itself. This file imports nothing that takes time.
+"""
+
+from __future__ import annotations
+
+import _imp
+import os
+import signal
+from types import FrameType
+
+from godfit.runtime.files import remove_temporaries, written_files
+
+INTERRUPTED = 130
+"""Exit status after an interrupt: 128 plus the number of SIGINT, as shells have it."""
+SHOW_CURSOR = "\r\x1b[2K\x1b[?25h"
+"""What a terminal needs where a spinner was: an empty line, and its cursor."""
+
+
+def end_on_interrupt() -> None:
+    """Let SIGINT end the process. Nothing changes where the parent has it ignored, and the system
+    calls of native code go on after it."""
+    if _imp.lock_held():
+        # Python dropped an interrupt of its own start, and kept the lock of its imports: the first
+        # import of another thread would wait for ever.
+        _end(signal.SIGINT, None)
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, _end)
+        if hasattr(signal, "siginterrupt"):
+            signal.siginterrupt(signal.SIGINT, False)
+
+
+def interrupt_message() -> str:
+    """What is printed after an interrupt."""
+    return f"interrupted; {written_files()}"
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    remove_temporaries()
+    line = f"godfit: error: {interrupt_message()}\n"
+    try:
+        # Not ``print``: the interrupt may have come while the stream was in use.
+        os.write(2, ((SHOW_CURSOR if os.isatty(2) else "") + line).encode(errors="replace"))
+    except OSError:
+        pass
+    finally:
+        os._exit(INTERRUPTED)
