@@ -18,7 +18,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from godfit.errors import InputError
 from godfit.io.image import TRANSFERS
@@ -76,7 +76,8 @@ class Light(eqx.Module):
 
 class Object(eqx.Module):
     """A mesh and its pose: vertices (v, 3) in the object's own space, faces (f, 3), edges (e, 4) as
-    in ``godfit.scenes.mesh.edges``; position (3,), rotation (3,) in degrees, scale ()."""
+    in ``godfit.scenes.mesh.edges``; position (3,), rotation (3,) in degrees, scale (); and which
+    faces (f,) are drawn only from in front, where they are counter-clockwise (None for none)."""
 
     vertices: Float[Array, "v 3"]
     faces: Int[Array, "f 3"]
@@ -85,6 +86,7 @@ class Object(eqx.Module):
     rotation: Float[Array, "3"]
     scale: Float[Array, ""]
     colour: Colour = eqx.field(static=True)
+    single_sided: Bool[Array, " f"] | None = None
 
     def world(self) -> Float[Array, "v 3"]:
         """The vertices in the world."""
@@ -228,11 +230,12 @@ def _object(table: Table) -> tuple[Object, tuple[str, ...]]:
     obj = Object(
         _array(shape.vertices),
         jnp.asarray(shape.faces),
-        jnp.asarray(mesh.edges(shape.faces)),
+        jnp.asarray(mesh.edges(shape.faces, shape.single_sided)),
         _array(table.three("position", [0.0, 0.0, 0.0])),
         _array(table.three("rotation", [0.0, 0.0, 0.0])),
         _array(table.number("scale", 1.0, above=0.0)),
         table.colour("colour", "#000000"),
+        None if shape.single_sided is None else jnp.asarray(shape.single_sided),
     )
     table.finish()
     return obj, shape.notes

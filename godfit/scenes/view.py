@@ -21,10 +21,10 @@ WHITE = (1.0, 1.0, 1.0)
 
 
 def in_single_precision(scene: Scene) -> Scene:
-    """The scene with its arrays in float32 and int32, the precision of a fit."""
+    """The scene with its numbers in float32 and int32, the precision of a fit."""
+    kinds = {"f": np.float32, "b": np.bool_}
     return jax.tree.map(
-        lambda z: jnp.asarray(np.asarray(z, np.float32 if z.dtype.kind == "f" else np.int32)),
-        scene,
+        lambda z: jnp.asarray(np.asarray(z, kinds.get(z.dtype.kind, np.int32))), scene
     )
 
 
