@@ -225,14 +225,17 @@ def on_screen(
     """The picture of a model that reads a mask or a scene, and the transfer of its file."""
     from godfit.io.image import read_image
     from godfit.request import check_model
+    from godfit.scenes.mesh import MESH_SUFFIXES
 
     scene, settings = None, {}
     pass_scale = options["pass_scale"]
-    if mask.endswith(".toml"):
+    if mask.lower().endswith((".toml", *MESH_SUFFIXES)):
         from godfit.scenes.scene import read_scene
-        from godfit.scenes.view import light_on_screen
+        from godfit.scenes.view import light_on_screen, resized
 
         scene = read_scene(mask)
+        if scene.any_size and options["size"]:
+            scene = resized(scene, image_size(options["size"]))
         settings = {**scene.settings, **light_on_screen(scene)}
         pass_scale = settings.pop("pass_scale", 1.0) if pass_scale == 1 else pass_scale
         transfer = settings.pop("transfer", "none") if transfer == "none" else transfer

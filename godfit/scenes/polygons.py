@@ -25,7 +25,7 @@ def triangulated(vertices: np.ndarray, rings: Sequence[np.ndarray]) -> tuple[np.
     lengths = np.array([len(ring) for ring in rings], np.int64)
     faces, crossed = [np.zeros((0, 3), np.int64)], 0
     for k in np.unique(lengths[lengths > 2]).tolist():
-        rows = np.stack([rings[i] for i in np.flatnonzero(lengths == k)]).astype(np.int64)
+        rows = np.stack([rings[i] for i in np.flatnonzero(lengths == k).tolist()]).astype(np.int64)
         first = np.broadcast_to(rows[:, :1], (len(rows), k - 2))
         fans = np.stack([first, rows[:, 1:-1], rows[:, 2:]], -1)
         if k > 3:

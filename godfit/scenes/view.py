@@ -12,12 +12,7 @@ import numpy as np
 from godfit.errors import InputError
 from godfit.io.image import Image
 from godfit.scenes.raster import Visible, on_screen, rasterise, visible
-from godfit.scenes.scene import Scene
-
-BLACK = (0.0, 0.0, 0.0)
-"""Colour of what occludes the sky, in a sky mask."""
-WHITE = (1.0, 1.0, 1.0)
-"""Colour of the open sky, in a sky mask."""
+from godfit.scenes.scene import BLACK, WHITE, Scene
 
 
 def in_single_precision(scene: Scene) -> Scene:
@@ -33,12 +28,21 @@ def resized(scene: Scene, size: tuple[int, int]) -> Scene:
     return dataclasses.replace(scene, size=size)
 
 
+def framed(scene: Scene, target: Image) -> Scene:
+    """The scene in a picture of the target's size, where its file gives none. The vertical field of
+    view stays, as three.js has it where a canvas is not as wide as the camera's aspect ratio."""
+    if not scene.any_size:
+        return scene
+    return resized(scene, (target.values.shape[0], target.values.shape[1]))
+
+
 def scene_at_pass_size(scene: Scene, target: Image, pass_scale: float) -> Scene:
     """The scene at the size of the light pass: the smaller of the scene's own size and the
     target's, times ``pass_scale``. Raises InputError for a ``pass_scale`` outside (0, 1], and for a
     scene with another aspect than the target's."""
     if not 0 < pass_scale <= 1:
         raise InputError(f"pass scale: expected a number above 0, at most 1, got {pass_scale:g}")
+    scene = framed(scene, target)
     (h, w), (height, width) = scene.size, target.values.shape[:2]
     if abs(w * height - h * width) > max(width, height):
         raise InputError(

@@ -26,7 +26,7 @@ from godfit.models.hoffman_preetham import HoffmanPreetham
 from godfit.models.mitchell import Mitchell
 from godfit.report.compare import Comparison, Row
 from godfit.scenes.scene import Scene, read_scene
-from godfit.scenes.view import in_single_precision, light_on_screen
+from godfit.scenes.view import framed, in_single_precision, light_on_screen
 
 if TYPE_CHECKING:
     pass
@@ -59,7 +59,7 @@ def compare(
         place = {"light_x": light[0], "light_y": light[1]}
     elif scene is not None:
         with jax.enable_x64(False):
-            place = light_on_screen(in_single_precision(scene))
+            place = light_on_screen(in_single_precision(framed(scene, picture)))
     kinds: list[tuple[str, dict[str, Any]]] = [
         (Mitchell.name, {"shader": shader, "lights": lights}),
         (HoffmanPreetham.name, {"fov": fov, "distance": distance}),

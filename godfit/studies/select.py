@@ -31,7 +31,7 @@ from godfit.report.select import Row, Rung, Selection
 from godfit.runtime.parallel import parallel_map
 from godfit.scattering.taps import CONVENTIONS
 from godfit.scenes.scene import Scene, read_scene
-from godfit.scenes.view import in_single_precision, light_on_screen
+from godfit.scenes.view import framed, in_single_precision, light_on_screen
 from godfit.studies.ladder import LADDER_VALUES, Ladder, like_noise
 
 HELD_OUT_BLOCK = 16
@@ -66,11 +66,11 @@ def select(
     with jax.enable_x64(False):
         if scene is not None and not isinstance(scene, Scene):
             scene = read_scene(scene)
+        source = read_source(target, options.get("transfer", "none"))
         place = (0.5, 0.5) if light is None else light
         if light is None and scene is not None:
-            on_screen = light_on_screen(in_single_precision(scene))
+            on_screen = light_on_screen(in_single_precision(framed(scene, source)))
             place = on_screen["light_x"], on_screen["light_y"]
-        source = read_source(target, options.get("transfer", "none"))
         geometry = scene is not None or (fov is not None and distance is not None)
         channels = 3 if geometry else None
         base = fit(

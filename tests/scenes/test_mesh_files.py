@@ -13,7 +13,7 @@ from godfit.errors import InputError
 from godfit.scenes import mesh, raster
 from godfit.scenes.ply import strip_triangles
 from godfit.scenes.polygons import triangulated
-from godfit.scenes.scene import Camera, Light, Object, Scene
+from godfit.scenes.scene import Camera, Light, Object, Scene, read_scene
 from tests.support.gltf_files import CORNERS, gltf
 
 U = [[0, 0], [3, 0], [3, 3], [2, 3], [2, 1], [1, 1], [1, 3], [0, 3]]
@@ -279,3 +279,118 @@ def test_single_sided_faces_are_not_drawn_from_behind(tmp_path, antialias):
     # Two triangles that share an edge and face opposite ways: one is drawn from either side.
     halves = shares(gltf(SQUARE, [0, 1, 2, 0, 3, 2]))
     assert halves == pytest.approx([whole / 2] * 2, abs=close)
+
+
+# Scenes.
+
+CAMERA = {"type": "perspective", "perspective": {"yfov": np.pi / 3, "znear": 0.5, "aspectRatio": 1}}
+LIGHTS = {"KHR_lights_punctual": {"lights": [{"type": "point"}, {"type": "directional"}]}}
+
+
+def lit(number: int) -> dict:
+    return {"extensions": {"KHR_lights_punctual": {"light": number}}}
+
+
+def stage(**tree) -> bytes:
+    """A square in front of a camera at (0, 0, 4), and a light behind it."""
+    nodes = [
+        {"mesh": 0},
+        {"translation": [0, 3, 4], "children": [2]},
+        {"translation": [0, -3, 0], "camera": 0},
+        {"translation": [0, 1, -6], **lit(0)},
+    ]
+    whole = {"nodes": nodes, "scenes": [{"nodes": [0, 1, 3]}], "cameras": [CAMERA],
+             "extensions": LIGHTS}  # fmt: skip
+    return gltf(SQUARE, [0, 1, 2, 0, 2, 3], **(whole | tree))
+
+
+def read(folder, data: bytes, name="a.gltf") -> Scene:
+    (folder / name).write_bytes(data)
+    return read_scene(folder / name)
+
+
+def test_a_gltf_file_is_a_scene_by_itself(tmp_path):
+    scene = read(tmp_path, stage())
+    text = """
+[image]
+width = 1080
+height = 1080
+[camera]
+position = [0, 0, 4]
+target = [0, 0, 3]
+fov_y = 60
+near = 0.5
+far = 1e6
+[light]
+position = [0, 1, -6]
+radius = {}
+[[object]]
+mesh = "a.gltf"
+"""
+    radius = np.sqrt(101) / 10
+    (tmp_path / "scene.toml").write_text(text.format(radius))
+    expected = read_scene(tmp_path / "scene.toml")
+    for name in scene.names:
+        np.testing.assert_allclose(scene.value(name), expected.value(name), atol=1e-6)
+    assert scene.size == expected.size
+    assert (scene.camera.near, scene.camera.far) == (0.5, 1e6)
+    (note,) = scene.notes
+    assert "no radius; 1 is assumed" in note
+
+
+def test_a_directional_light_lies_against_its_direction(tmp_path):
+    turned = Rotation.from_euler("y", 180, degrees=True).as_quat().tolist()
+    nodes = json.loads(stage())["nodes"]
+    nodes[3] = {"rotation": turned, **lit(1)}
+    camera = {"type": "perspective", "perspective": {"yfov": 1, "znear": 0.5, "zfar": 100}}
+    scene = read(tmp_path, stage(nodes=nodes, cameras=[camera]))
+    np.testing.assert_allclose(scene.light.position, [0, 0, 4 - 50], atol=1e-5)
+    assert scene.size == (1080, 1920)
+    assert len(scene.notes) == 1
+
+
+@pytest.mark.parametrize(
+    ("tree", "words"),
+    [
+        ({"scenes": [{"nodes": [0]}]}, "no camera and no light; export them, or write"),
+        ({"scenes": [{"nodes": [0, 1]}]}, "got no light"),
+        ({"cameras": [{"type": "orthographic"}]}, "got an orthographic camera"),
+        ({"cameras": [{"type": "perspective", "perspective": {}}]}, "KeyError"),
+        ({"cameras": []}, "IndexError"),
+        ({"extensions": {}}, "KHR_lights_punctual"),
+    ],
+)
+def test_a_gltf_file_without_a_view_is_refused(tmp_path, tree, words):
+    with pytest.raises(InputError, match=words) as caught:
+        read(tmp_path, stage(**tree))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_mesh_is_no_scene(tmp_path):
+    with pytest.raises(InputError, match=r"no camera; write a \.toml"):
+        read(tmp_path, b"v 0 0 0", "a.obj")
+    with pytest.raises(InputError, match="no such file"):
+        read_scene(tmp_path / "no.glb")
+
+
+@pytest.mark.parametrize(
+    ("move", "words"),
+    [
+        ({"translation": [0, 0, 9]}, "behind the camera"),
+        ({"translation": [0, 0, -96.5]}, "beyond camera.far"),
+        ({"translation": [0, -4, 0]}, "outside the frame"),
+        ({"rotation": [0, 1, 0, 0]}, "single-sided"),
+        ({"translation": [0, -3, 0]}, None),
+        ({"translation": [0, 0, -95.5]}, None),
+    ],
+)
+def test_what_is_not_in_view_is_noted(tmp_path, move, words):
+    (tmp_path / "a.gltf").write_bytes(gltf(SQUARE, [0, 1, 2, 0, 2, 3], nodes=[{"mesh": 0, **move}]))
+    (tmp_path / "scene.toml").write_text(
+        "[image]\nwidth = 8\nheight = 8\n[camera]\nposition = [0, 0, 4]\nfov_y = 60\nfar = 100\n"
+        '[light]\nposition = [0, 0, -3]\nradius = 0.5\n[[object]]\nmesh = "a.gltf"\n'
+    )
+    notes = read_scene(tmp_path / "scene.toml").notes
+    assert [words in note and "object[0] is not in view" in note for note in notes] == (
+        [True] if words else []
+    )
