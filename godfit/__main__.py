@@ -19,6 +19,7 @@ from godfit.commands.render import render
 from godfit.commands.select import select
 from godfit.commands.shaders import shaders
 from godfit.commands.simplify import simplify
+from godfit.commands.streams import close_streams, open_streams
 from godfit.errors import InputError
 
 INTERRUPTED = 130
@@ -73,6 +74,9 @@ def run() -> None:
     # A fit is a sequence of many small programs, for which a GPU takes longer than a CPU, and some
     # of them are compiled for CPUs alone. JAX reads this variable when it is first imported.
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    # Figures have a canvas of their own. A backend that is not installed would fail their import.
+    os.environ["MPLBACKEND"] = "agg"
+    open_streams()
     signal.signal(signal.SIGINT, _interrupt)
     # Python prints an interrupt that falls into a finaliser and goes on; the next stage stops then.
     sys.unraisablehook = lambda unraisable: (
@@ -81,9 +85,7 @@ def run() -> None:
         else sys.__unraisablehook__(unraisable)
     )
     gc.set_threshold(GARBAGE_THRESHOLD)
-    status = main()
-    sys.stdout.flush()
-    sys.stderr.flush()
+    status = close_streams(main())
     # An ordinary exit takes a third of a second, and would free the memory of compiled programs
     # that an interrupt has left running.
     os._exit(status)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import click
@@ -11,12 +10,11 @@ import click
 from godfit.commands.options import Run, valid_pixels
 from godfit.commands.study import (
     NOT_CONVERGED,
-    command_line,
     folder_for,
     prepare,
     print_result,
+    save_result,
     working,
-    written,
 )
 from godfit.io.frames import frames
 
@@ -31,7 +29,7 @@ def fit_frames(targets: tuple[str, ...], every: int, given: Mapping[str, Any], r
         if name not in ACCEPTED:
             option = name.replace("_", "-")
             raise click.UsageError(f"--{option}: expected one picture with it, got several frames")
-    folder = folder_for(common_name(targets), run.output)
+    folder = folder_for(targets, run.output)
     images = frames(targets, every, options.pop("transfer", "none"))
     ignore, valid = options.pop("ignore", ()), None
     if ignore:
@@ -42,15 +40,7 @@ def fit_frames(targets: tuple[str, ...], every: int, given: Mapping[str, Any], r
         prepare(options, run, progress)
         result = fit_clip(images, valid=valid, seed=run.seed, progress=progress, **options)
         progress("drawing")
-        result.save(folder, command_line())
+        files = save_result(result, run, folder, ("fit.json", "fit.png"))
     notes = [*result.notes, *result.undetermined, *result.warnings]
-    print_result(result, notes, run, written(folder, "fit.json", "fit.png"))
+    print_result(result, notes, run, files)
     return 0 if result.converged else NOT_CONVERGED
-
-
-def common_name(targets: tuple[str, ...]) -> str:
-    """The first frame's name without its number: frame_01.png, frame_02.png are ``frame``."""
-    if len(targets) == 1:
-        return targets[0]
-    stem = Path(targets[0]).stem.rstrip("0123456789_-. ")
-    return str(Path(targets[0]).with_name(stem or "clip"))

@@ -9,12 +9,11 @@ import click
 from godfit.commands.options import PICTURE, RESULT, Run, light_position
 from godfit.commands.study import (
     NOT_CONVERGED,
-    command_line,
     opened,
     prepare,
     print_result,
+    save_result,
     working,
-    written,
 )
 
 
@@ -46,6 +45,6 @@ def select(target: str, light: str | None, run: Run, **given: Any) -> int:
             **study.options,
         )  # fmt: skip
         progress("drawing")
-        found.save(study.folder, command_line())
-    print_result(found, found.base.notes, run, written(study.folder, "select.json", "select.png"))
+        files = save_result(found, run, study.folder, ("select.json", "select.png"))
+    print_result(found, found.base.notes, run, files)
     return 0 if found.recommended.like_noise else NOT_CONVERGED

@@ -19,6 +19,7 @@ from godfit.models.base import AbstractModel
 from godfit.report.figure import plot
 from godfit.report.files import write_result
 from godfit.report.record import fit_record
+from godfit.report.style import own_style
 from godfit.report.text import html, summary
 
 if TYPE_CHECKING:
@@ -108,10 +109,12 @@ class FitResult:
 
     def plot(self) -> Figure:
         """A matplotlib figure: target, fitted, residual, parameters."""
-        return plot(self)
+        with own_style():
+            return plot(self)
 
     def save(self, folder: str | os.PathLike[str], command: str = "") -> None:
-        """Write fit.json, fit.png and render.png into ``folder``; raises OSError."""
+        """Write fit.json, fit.png and render.png into ``folder``. Raises OSError, and warns of
+        pictures that fail."""
 
         def render(path: Path) -> None:
             write_image(path, self.render(), transfer=self.picture.transfer)
