@@ -8,19 +8,19 @@ JPEG (no other raises for a file that is cut short), tifffile, OpenEXR and numpy
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import hashlib
 import io
 import os
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from godfit.errors import InputError
+from godfit.io.exr_chunks import may_be_whole
 from godfit.runtime.files import atomic_write
 
 LEVELS = 255.0
@@ -35,6 +35,8 @@ SRGB_LINEAR_END = 0.04045
 """Encoded value at which sRGB's linear segment ends and its power begins (IEC 61966-2-1)."""
 SRGB_LINEAR_END_DECODED = 0.0031308
 """The same in linear light."""
+PNG_SAMPLES = {b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"}
+"""Chunks of a PNG that hold its samples. libpng warns of faults in others, which change none."""
 VALUES_PER_STRIDE = 2**18
 """Values that are converted at a time: the float64 copies of a whole image would take too much."""
 
@@ -110,8 +112,7 @@ def read_layer(
     kind, reader = _recognise(data, name)
     digest, notes = hashlib.sha256(data).hexdigest(), []
     try:
-        with _quiet():
-            codes = reader(data, notes)
+        codes = reader(data, notes)
         del data  # up to a third of the memory in use
         values, quantum, alpha = _linear(codes, transfer, notes)
     except Exception as error:
@@ -223,26 +224,6 @@ def _linear(
     return values, None, alpha
 
 
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence decoders: libpng and OpenEXR write to descriptor 2, OpenEXR also to sys.stdout.
-
-    No error is lost: every reader checks by itself that the file is whole, and raises.
-    """
-    with (
-        open(os.devnull, "w") as null,
-        contextlib.redirect_stdout(null),
-        contextlib.redirect_stderr(null),
-        contextlib.ExitStack() as stack,
-    ):
-        with contextlib.suppress(OSError):  # the process may have no descriptor 2
-            saved = os.dup(2)
-            stack.callback(os.close, saved)
-            stack.callback(os.dup2, saved, 2)
-            os.dup2(null.fileno(), 2)
-        yield
-
-
 def _note_orientation(orientation: int, notes: list[str]) -> None:
     if orientation != 1:
         notes.append(f"The orientation tag ({orientation}) was ignored: rows are as stored.")
@@ -254,6 +235,7 @@ def _read_png(data: bytes, notes: list[str]) -> np.ndarray:
     # libpng does not read the last chunks, so a cut or damaged tail would pass.
     kinds: set[bytes] = set()
     view, start = memoryview(data), 8
+    kept = [view[:start]]
     while b"IEND" not in kinds:
         end = start + 12 + int.from_bytes(view[start : start + 4], "big")
         if end > len(data):
@@ -261,6 +243,8 @@ def _read_png(data: bytes, notes: list[str]) -> np.ndarray:
         if zlib.crc32(view[start + 4 : end - 4]) != int.from_bytes(view[end - 4 : end], "big"):
             raise InputError(f"the chunk at byte {start} is damaged; copy or save it again")
         kinds.add(data[start + 4 : start + 8])
+        if data[start + 4 : start + 8] in PNG_SAMPLES:
+            kept.append(view[start:end])
         start = end
     if b"acTL" in kinds:
         raise InputError("expected a still image, got an animation; save one frame")
@@ -272,7 +256,7 @@ def _read_png(data: bytes, notes: list[str]) -> np.ndarray:
     elif depth < 8:
         levels = 2**depth
         notes.append(f"Only {levels} grey levels: the true step is 1/{levels - 1}, not 1/255.")
-    return imagecodecs.png_decode(data)
+    return imagecodecs.png_decode(data if kinds <= PNG_SAMPLES else b"".join(kept))
 
 
 def _read_jpeg(data: bytes, notes: list[str]) -> np.ndarray:
@@ -332,6 +316,8 @@ def _read_exr(data: bytes, notes: list[str]) -> np.ndarray:
     _check_shape((height, width))
     if not np.array_equal(window, header["displayWindow"]):
         notes.append("Only the data window was read; it is not the whole display window.")
+    if not may_be_whole(data):
+        raise InputError("the file is cut short or damaged; copy or save it again")
     file = OpenEXR.File(io.BytesIO(data))
     if not file.parts:  # OpenEXR's only sign that the pixels could not be decoded
         raise InputError("the file is cut short or damaged; copy or save it again")
