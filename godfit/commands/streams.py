@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import errno
 import io
+import logging
 import os
 import sys
+
+
+LOGGERS = ("imagecodecs", "tifffile", "trimesh")
+"""Loggers of packages whose readers report what a fit's own checks and messages cover."""
 
 
 class Output(io.TextIOWrapper):
@@ -39,8 +44,10 @@ class Output(io.TextIOWrapper):
 
 
 def open_streams() -> None:
-    """Make stdout an ``Output``. Descriptors 0 to 2 that were closed are opened on the null
-    device, so that no other file gets their numbers."""
+    """Make stdout an ``Output``, and keep the loggers of readers quiet. Descriptors 0 to 2 that
+    were closed are opened on the null device, so that no other file gets their numbers."""
+    for reader in LOGGERS:
+        logging.getLogger(reader).setLevel(logging.CRITICAL)
     for descriptor in (0, 1, 2):
         try:
             os.fstat(descriptor)

@@ -21,6 +21,7 @@ from godfit.report.files import write_result
 from godfit.report.record import fit_record
 from godfit.report.style import own_style
 from godfit.report.text import html, summary
+from godfit.runtime.guest import as_guest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -80,17 +81,21 @@ class FitResult:
 
     @functools.cached_property
     def _levels(self) -> np.ndarray:
-        return self.picture.rendered(self.model)
+        with as_guest():
+            return self.picture.rendered(self.model)
 
     def render(self) -> np.ndarray:
         """The fitted image, linear, clamped to [0, 1]; shaped like the target."""
-        image = np.asarray(decode(self._levels / np.float32(LEVELS), self.picture.transfer))
+        levels = self._levels / np.float32(LEVELS)
+        with as_guest():
+            image = np.asarray(decode(levels, self.picture.transfer))
         return image if image.shape[-1] == 3 else image[..., 0]
 
     @property
     def mask(self) -> np.ndarray:
         """(h, w) or (h, w, 3): the occlusion mask that the light pass reads, given or estimated."""
-        return np.asarray(occlusion_of(self.model, np.asarray(self.picture.mask)))
+        with as_guest():
+            return np.asarray(occlusion_of(self.model, np.asarray(self.picture.mask)))
 
     @property
     def residual(self) -> np.ndarray:
@@ -109,7 +114,7 @@ class FitResult:
 
     def plot(self) -> Figure:
         """A matplotlib figure: target, fitted, residual, parameters."""
-        with own_style():
+        with as_guest(), own_style():
             return plot(self)
 
     def save(self, folder: str | os.PathLike[str], command: str = "") -> None:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from godfit.errors import InputError
+from godfit.runtime.host_state import warnings_kept
 from godfit.scenes.gltf import Gltf, Part
 from godfit.scenes.ply import read_ply
 from godfit.scenes.polygons import triangulated
@@ -132,7 +133,7 @@ def _trimesh_parts(source: bytes, suffix: str) -> list[Part]:
     # Imported here: trimesh takes long to import, and most runs need no mesh.
     import trimesh
 
-    with warnings.catch_warnings():
+    with warnings_kept(), warnings.catch_warnings():
         # trimesh warns of textures and normals, which a mask does not need.
         warnings.simplefilter("ignore")
         # `process` would drop vertices that are not finite, which are an error here.

@@ -24,6 +24,7 @@ from godfit.errors import InputError
 from godfit.io.image import TRANSFERS
 from godfit.io.sidecar import SIDECAR_SCATTERING
 from godfit.io.toml_table import Colour, Table
+from godfit.runtime.guest import own_settings
 from godfit.scattering.parameters import SCATTERING as PARAMETERS
 from godfit.scattering.taps import convention
 from godfit.scenes import mesh
@@ -179,7 +180,12 @@ def _rotation(angle: Float[Array, ""], i: int, j: int) -> Float[Array, "3 3"]:
 def read_scene(path: str | os.PathLike[str]) -> Scene:
     """Read a scene file, or a glTF file with a camera and a light of its own. Raises InputError
     that names the file, the key, the expected and the actual value."""
-    path = Path(path)
+    with own_settings(any_precision=True):
+        return _read_scene(Path(path))
+
+
+def _read_scene(path: Path) -> Scene:
+    """As ``read_scene``, under whatever settings JAX has."""
     suffix = path.suffix.lower()
     if suffix in mesh.GLTF_SUFFIXES:
         scene = _gltf_scene(path)

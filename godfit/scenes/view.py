@@ -11,6 +11,7 @@ import numpy as np
 
 from godfit.errors import InputError
 from godfit.io.image import Image
+from godfit.runtime.guest import as_guest
 from godfit.scenes.raster import Visible, on_screen, rasterise, visible
 from godfit.scenes.scene import BLACK, WHITE, Scene
 
@@ -81,7 +82,8 @@ def drawn_mask(scene: Scene, antialias: bool) -> np.ndarray:
     """The scene's mask as the 8-bit texture that a light pass reads: (h, w) or (h, w, 3) float32,
     multiples of 1/255. Raises InputError as ``raster.rasterise`` does."""
     try:
-        mask = np.asarray(_rasterised(scene, antialias))
+        with as_guest(any_precision=True):
+            mask = np.asarray(_rasterised(scene, antialias))
     except jax.errors.JaxRuntimeError as error:
         # An error in a callback comes back inside one of XLA's.
         raise InputError.within(error) or error from error

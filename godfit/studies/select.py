@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -28,6 +27,7 @@ from godfit.io.sources import Source, read_source
 from godfit.models.mitchell import Mitchell
 from godfit.report.result import FitResult
 from godfit.report.select import Row, Rung, Selection
+from godfit.runtime.guest import as_guest
 from godfit.runtime.parallel import parallel_map
 from godfit.scattering.taps import CONVENTIONS
 from godfit.scenes.scene import Scene, read_scene
@@ -63,7 +63,7 @@ def select(
     began, say = time.perf_counter(), progress or (lambda text: None)
     if options.get("lights", 1) != 1:
         raise InputError("select: expected lights 1, got more; it adds a second light itself")
-    with jax.enable_x64(False):
+    with as_guest():
         if scene is not None and not isinstance(scene, Scene):
             scene = read_scene(scene)
         source = read_source(target, options.get("transfer", "none"))
