@@ -8,7 +8,6 @@ import logging
 import os
 import sys
 
-
 LOGGERS = ("imagecodecs", "tifffile", "trimesh")
 """Loggers of packages whose readers report what a fit's own checks and messages cover."""
 
