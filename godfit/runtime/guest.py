@@ -38,7 +38,7 @@ NUMPY_ERRORS: dict[str, Any] = {
     "divide": "warn", "over": "warn", "under": "ignore", "invalid": "warn",
 }  # fmt: skip
 """NumPy's reports of errors in a computation: its defaults."""
-# Whether a computation has run in this process, and whether the process was forked after one.
+# Whether a computation has run in this process, and whether JAX ran in the one it was forked from.
 _started = False
 _forked = False
 
@@ -46,8 +46,9 @@ _forked = False
 def _after_fork() -> None:
     global _forked
     bridge = sys.modules.get("jax._src.xla_bridge")
-    has_begun = getattr(bridge, "backends_are_initialized", lambda: False)
-    _forked = _forked or _started or has_begun()
+    # Not a public function: without it, any computation counts.
+    runs = getattr(bridge, "backends_are_initialized", lambda: _started)
+    _forked = _forked or runs()
 
 
 if hasattr(os, "register_at_fork"):

@@ -86,6 +86,8 @@ class Gltf:
                 )
         self.nodes: list[dict[str, Any]] = self.tree.get("nodes", [])
         self.notes: list[str] = []
+        if self.tree.get("animations"):
+            self._note("animations are not played; the pose at rest is drawn")
 
     def _refused(self, expected: str, got: str) -> InputError:
         return InputError(f"'{self.path}': expected {expected}, got {got}")
@@ -222,7 +224,10 @@ class Gltf:
 
     def _buffer(self, number: int) -> bytes:
         if number not in self._buffers:
-            self._buffers[number] = self._bytes_of(self.tree["buffers"][number])
+            table = self.tree["buffers"][number]
+            if "uri" not in table and (number or self.binary is None):
+                raise self._cut()
+            self._buffers[number] = self._bytes_of(table) if "uri" in table else self.binary or b""
         return self._buffers[number]
 
     @functools.cached_property
@@ -235,11 +240,7 @@ class Gltf:
             view = self.tree["bufferViews"][table["bufferView"]]
             first = view.get("byteOffset", 0)
             return self._buffer(view["buffer"])[first : first + view["byteLength"]]
-        uri = table.get("uri")
-        if uri is None:
-            if self.binary is None:
-                raise self._cut()
-            return self.binary
+        uri = table["uri"]
         if uri.startswith("data:"):
             return base64.b64decode(uri.partition(",")[2])
         name = self.path.parent / urllib.parse.unquote(uri)
@@ -325,7 +326,7 @@ class Gltf:
         if mode == "OPAQUE":
             return True
         texture, known = (1.0, 1.0), True
-        surface = material.get("pbrMetallicRoughness", {})
+        surface = _surface(material)
         if "baseColorTexture" in surface:
             found = self._texture_alpha(surface["baseColorTexture"]["index"])
             texture, known = found or (0.0, 1.0), found is not None
@@ -370,7 +371,7 @@ class Gltf:
             if data.startswith(JPEG_START):
                 return 1.0, 1.0
             texels = imagecodecs.png_decode(data)
-        except (InputError, OSError, ValueError, RuntimeError):
+        except (InputError, OSError, ValueError, LookupError, RuntimeError):
             return None
         if texels.ndim < 3 or texels.shape[2] not in (2, 4):
             return 1.0, 1.0
@@ -397,6 +398,15 @@ def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
 
 def _extension(table: dict[str, Any], name: str) -> dict[str, Any]:
     return table.get("extensions", {}).get(name, {})
+
+
+def _surface(material: dict[str, Any]) -> dict[str, Any]:
+    """The base colour of a material, under the names of metallic roughness."""
+    other = _extension(material, "KHR_materials_pbrSpecularGlossiness")
+    if not other:
+        return material.get("pbrMetallicRoughness", {})
+    names = {"diffuseFactor": "baseColorFactor", "diffuseTexture": "baseColorTexture"}
+    return {names[name]: value for name, value in other.items() if name in names}
 
 
 def _matrix(node: dict[str, Any]) -> np.ndarray:

@@ -86,6 +86,7 @@ def _loaded(path: Path) -> tuple[list[Part], tuple[str, ...]]:
         notes, source = (), path.read_bytes()
         if suffix == ".obj":
             source, notes = _obj_bytes(path, source)
+            _check_materials(path, source)
         return _trimesh_parts(source, suffix), notes
     except InputError:
         raise
@@ -149,9 +150,9 @@ def _trimesh_parts(source: bytes, suffix: str) -> list[Part]:
 
 def _check_indices(path: Path, rings: list[np.ndarray], count: int) -> None:
     """Raise InputError for polygons with other corners than ``count`` vertices."""
-    ends = [(ring.min(), ring.max()) for ring in rings if len(ring)]
-    least, most = min((e[0] for e in ends), default=0), max((e[1] for e in ends), default=0)
-    if least < 0 or (ends and most >= count):
+    corners = np.concatenate([np.zeros(0, np.int64), *rings])
+    least, most = corners.min(initial=0), corners.max(initial=0)
+    if least < 0 or (corners.size and most >= count):
         raise InputError(
             f"'{path}': expected indices from 0 to {count - 1}, got {least} to {most}; "
             "export it again"
@@ -261,6 +262,23 @@ def contains(mesh: Mesh, point: np.ndarray) -> bool:
         for p, q in ((a, b), (b, c), (c, a)):
             inside &= (np.cross(n, q - p) * (t[:, None] * ray - p)).sum(-1) >= 0
     return bool(inside.sum() % 2)
+
+
+def _check_materials(path: Path, data: bytes) -> None:
+    """Raise InputError where an OBJ file uses a material whose alpha texture cuts holes."""
+    used = {name.strip() for name in re.findall(rb"^\s*usemtl\s+(.+)$", data, re.MULTILINE)}
+    for name in re.findall(rb"^\s*mtllib\s+(.+)$", data, re.MULTILINE):
+        library = path.parent / name.strip().decode(errors="replace")
+        if not library.is_file():
+            continue
+        for text in re.split(rb"^\s*newmtl\s+", library.read_bytes(), flags=re.MULTILINE)[1:]:
+            material, _, body = text.partition(b"\n")
+            if material.strip() in used and re.search(rb"^\s*map_d\s", body, re.MULTILINE):
+                shown = material.strip().decode(errors="replace")
+                raise InputError(
+                    f"'{path}': expected surfaces without holes cut by alpha, got map_d in the "
+                    f"material '{shown}'; model the holes, or remove map_d"
+                )
 
 
 def _obj_bytes(path: Path, data: bytes) -> tuple[bytes, tuple[str, ...]]:

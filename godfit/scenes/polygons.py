@@ -18,24 +18,29 @@ def triangulated(vertices: np.ndarray, rings: Sequence[np.ndarray]) -> tuple[np.
     (v, 3); and how many of the polygons cross themselves, which no triangulation covers.
 
     A polygon is projected onto its Newell plane, whose normal is the sum of the cross products of
-    its edges (Sutherland, Sproull & Schumacker 1974). It becomes a fan around its first corner
-    where no triangle of the fan is turned over, as in every convex polygon, and else its ears are
-    clipped by ``mapbox_earcut``. Rings of fewer than three corners have no area and are dropped.
+    its edges (Sutherland, Sproull & Schumacher 1974). It becomes a fan around its first corner
+    where no triangle of the fan is turned over, as in every convex polygon. A quadrilateral else
+    becomes the fan around its second corner. The ears of other polygons are clipped by
+    ``mapbox_earcut``. Rings of fewer than three corners have no area and are dropped.
     """
     lengths = np.array([len(ring) for ring in rings], np.int64)
     faces, crossed = [np.zeros((0, 3), np.int64)], 0
     for k in np.unique(lengths[lengths > 2]).tolist():
         rows = np.stack([rings[i] for i in np.flatnonzero(lengths == k).tolist()]).astype(np.int64)
-        first = np.broadcast_to(rows[:, :1], (len(rows), k - 2))
-        fans = np.stack([first, rows[:, 1:-1], rows[:, 2:]], -1)
         if k > 3:
             concave = ~_may_be_fans(vertices[rows])
-            for row in rows[concave]:
-                ears, covers = _ears(vertices[row])
-                faces.append(row[ears])
-                crossed += not covers
-            fans = fans[~concave]
-        faces.append(fans.reshape(-1, 3))
+            if k == 4:
+                # Each simple one is the fan around one end of a diagonal that lies inside.
+                rows[concave] = np.roll(rows[concave], -1, axis=1)
+                crossed += int((~_may_be_fans(vertices[rows[concave]])).sum())
+            else:
+                for row in rows[concave]:
+                    ears, covers = _ears(vertices[row])
+                    faces.append(row[ears])
+                    crossed += not covers
+                rows = rows[~concave]
+        first = np.broadcast_to(rows[:, :1], (len(rows), k - 2))
+        faces.append(np.stack([first, rows[:, 1:-1], rows[:, 2:]], -1).reshape(-1, 3))
     return np.concatenate(faces), crossed
 
 

@@ -68,6 +68,9 @@ def test_convex_polygons_stay_fans_and_crossed_ones_are_counted():
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
     assert triangulated(square, [np.arange(4)])[0].tolist() == [[0, 1, 2], [0, 2, 3]]
     assert triangulated(square, [np.array([0, 2, 1, 3])])[1] == 1
+    dart = np.array([[0, 0, 0], [2, -1, 0], [0.5, 0, 0], [2, 1, 0]], float)
+    assert triangulated(dart, [np.arange(4)])[0].tolist() == [[0, 1, 2], [0, 2, 3]]
+    assert triangulated(dart, [np.array([3, 0, 1, 2])])[0].tolist() == [[0, 1, 2], [0, 2, 3]]
     five = 2 * np.pi * np.arange(0, 10, 2) / 5
     star = np.stack([np.cos(five), np.sin(five), 0 * five], 1)
     assert triangulated(star, [np.arange(5)])[1] == 1
@@ -209,6 +212,13 @@ def test_every_instance_is_drawn(tmp_path):
         ({"extensionsRequired": ["EXT_meshopt_compression"]}, "EXT_meshopt_compression"),
         ({"extensionsRequired": ["MSFT_lod"]}, "MSFT_lod"),
         ({"nodes": [{"mesh": 0, "children": [0]}], "scenes": [{"nodes": [0]}]}, "parent"),
+        ({"buffers": [{"byteLength": 48}]}, "cut or damaged"),
+        (
+            {"primitive": {"material": 0}, "materials": [{"alphaMode": "MASK", "name": "leaf",
+             "extensions": {"KHR_materials_pbrSpecularGlossiness": {"diffuseTexture": {"index": 0}}}
+             }], "textures": [{"source": 0}], "images": [{"uri": "leaf.png"}]},
+            "alphaMode MASK in the material 'leaf'",
+        ),
         (
             {"primitive": {"material": 0}, "materials": [{"alphaMode": "MASK", "name": "leaf",
              "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
@@ -223,6 +233,19 @@ def test_what_is_not_implemented_is_refused(tmp_path, tree, words):
     imageio.imwrite(tmp_path / "leaf.png", leaf)
     with pytest.raises(InputError, match=words):
         save(tmp_path, gltf(**tree))
+
+
+def test_holes_in_the_materials_of_an_obj_are_refused(tmp_path):
+    (tmp_path / "a.mtl").write_text("newmtl leaf\nmap_Kd a.png\nmap_d b.png\nnewmtl wood\nd 1\n")
+    corners = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\n"
+    assert save(tmp_path, f"{corners}usemtl wood\nf 1 2 3\n".encode(), "a.obj").notes == ()
+    with pytest.raises(InputError, match="map_d in the material 'leaf'"):
+        save(tmp_path, f"{corners}usemtl leaf\nf 1 2 3\n".encode(), "a.obj")
+
+
+def test_animations_are_noted(tmp_path):
+    (note,) = save(tmp_path, gltf(animations=[{"channels": [], "samplers": []}])).notes
+    assert "animations are not played" in note
 
 
 def test_alpha_that_cuts_nothing_or_everything(tmp_path):
