@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import errno
 import io
 import logging
@@ -56,6 +57,9 @@ def open_streams() -> None:
         sys.stdout = os.fdopen(1, "w", closefd=False)
     elif isinstance(sys.stdout, io.TextIOWrapper):
         lines, encoding = sys.stdout.line_buffering, sys.stdout.encoding
+        if codecs.lookup(encoding).name == "ascii":
+            # click would wrap it into another stream: Python has ASCII where no locale is set.
+            encoding = "utf-8"
         sys.stdout = Output(
             sys.stdout.detach(),
             encoding=encoding,
