@@ -10,10 +10,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from godfit.errors import InputError
+from godfit.io.image import Image
 from godfit.scenes import mesh, raster
 from godfit.scenes.ply import strip_triangles
 from godfit.scenes.polygons import triangulated
 from godfit.scenes.scene import Camera, Light, Object, Scene, read_scene
+from godfit.scenes.view import scene_at_pass_size
 from tests.support.gltf_files import CORNERS, gltf
 
 U = [[0, 0], [3, 0], [3, 3], [2, 3], [2, 1], [1, 1], [1, 3], [0, 3]]
@@ -359,6 +361,11 @@ mesh = "a.gltf"
     assert (scene.camera.near, scene.camera.far) == (0.5, 1e6)
     (note,) = scene.notes
     assert "no radius; 1 is assumed" in note
+
+
+def test_the_picture_of_a_gltf_scene_has_the_target_s_size(tmp_path):
+    target = Image(np.zeros((30, 40), np.float32), None, "none", "", "")
+    assert scene_at_pass_size(read(tmp_path, stage()), target, 0.5).size == (15, 20)
 
 
 def test_a_directional_light_lies_against_its_direction(tmp_path):
