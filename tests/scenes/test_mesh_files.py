@@ -105,6 +105,17 @@ def test_concave_polygons_of_every_format(tmp_path):
     assert "1 polygons cross themselves" in note
 
 
+def test_a_hole_that_a_bridge_joins_to_the_rim_stays_open(tmp_path):
+    rim = [[0, 0], [4, 0], [4, 4], [0, 4]]
+    hole = [[1, 1], [1, 3], [3, 3], [3, 1]]
+    rows = "".join(f"v {x} {y} 0\n" for x, y in rim + hole)
+    shape = save(tmp_path, f"{rows}f 1 2 3 4 1 5 6 7 8 5\n".encode(), "a.obj")
+    assert area(shape) == pytest.approx(12)
+    corners = shape.vertices[shape.faces][..., :2]
+    assert not any(inside(triangle, [1.9, 2.2]) for triangle in corners)
+    assert shape.notes == ()
+
+
 def test_free_form_surfaces_are_refused(tmp_path):
     with pytest.raises(InputError, match="free-form surfaces"):
         save(tmp_path, b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nsurf 0 1 0 1 1 2 3\n", "a.obj")
