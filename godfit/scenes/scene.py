@@ -306,7 +306,7 @@ def _placed(shape: mesh.Mesh, pose: tuple[Array, Array, Array], colour: Colour) 
         jnp.asarray(mesh.edges(shape.faces, shape.single_sided)),
         *pose,
         colour,
-        None if shape.single_sided is None else jnp.asarray(shape.single_sided),
+        single_sided=None if shape.single_sided is None else jnp.asarray(shape.single_sided),
     )
 
 

@@ -285,7 +285,7 @@ def share_drawn(shape, antialias: bool, turned: bool = False) -> float:
     thing = Object(
         jnp.asarray(shape.vertices), jnp.asarray(shape.faces),
         jnp.asarray(mesh.edges(shape.faces, shape.single_sided)),
-        jnp.zeros(3), jnp.zeros(3), jnp.ones(()), (0.0,) * 3, single,
+        jnp.zeros(3), jnp.zeros(3), jnp.ones(()), (0.0,) * 3, single_sided=single,
     )  # fmt: skip
     scene = Scene(
         Camera(eye, jnp.zeros(3), jnp.array([0, 1.0, 0]), jnp.array(60.0), 0.1, 50.0),
