@@ -65,4 +65,10 @@ def __getattr__(name: str):
         raise AttributeError(f"module 'godfit' has no attribute '{name}'")
     import importlib
 
-    return getattr(importlib.import_module(_HOMES[name]), name)
+    from godfit.runtime.host_state import imports_kept
+
+    if not _HOMES[name].startswith("godfit.io"):
+        # JAX's own variables stay, because its compiler reads them when it starts.
+        import jax  # noqa: F401
+    with imports_kept():
+        return getattr(importlib.import_module(_HOMES[name]), name)

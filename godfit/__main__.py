@@ -34,6 +34,7 @@ from godfit.commands.render import render
 from godfit.commands.select import select
 from godfit.commands.shaders import shaders
 from godfit.commands.simplify import simplify
+from godfit.commands.streams import close_streams, open_streams
 from godfit.errors import InputError, plain
 from godfit.runtime.files import forget_written, written_files
 from godfit.runtime.memory import available_memory
@@ -103,12 +104,13 @@ def run() -> None:
         # As their rule says. matplotlib would make its folders in the current one.
         if variable in os.environ and not os.path.isabs(os.environ[variable]):
             del os.environ[variable]
+    # Figures have a canvas of their own. A backend that is not installed would fail their import.
+    os.environ["MPLBACKEND"] = "agg"
+    open_streams()
     warnings.showwarning = _show_warning
     gc.set_threshold(GARBAGE_THRESHOLD)
     try:
-        status = main()
-        sys.stdout.flush()
-        sys.stderr.flush()
+        status = close_streams(main())
     except BaseException as error:
         # An exception that left here would end the interpreter while threads run compiled code.
         status = 1

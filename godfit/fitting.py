@@ -30,6 +30,7 @@ from godfit.report.result import FitResult
 from godfit.report.verdict import verdict
 from godfit.request import Request
 from godfit.runtime.compile_time import compile_seconds
+from godfit.runtime.guest import as_guest
 from godfit.scenes.scene import Scene
 from godfit.scenes.view import (
     as_sky_mask,
@@ -122,8 +123,7 @@ def fit(
     **Returns:** a `FitResult`. Raises `InputError`, a ValueError of one line, for input that cannot
     be fitted.
     """
-    with jax.enable_x64(False):
-        # The program computes in float32, whatever the caller has set.
+    with as_guest():
         request = Request(
             target=target, mask=mask, scene=scene, canvas=canvas, model=model, free=tuple(free),
             background=background, occluder=occluder, bright_pass=bright_pass, shader=shader,

@@ -11,12 +11,11 @@ import click
 from godfit.commands.options import Run, valid_pixels
 from godfit.commands.study import (
     NOT_CONVERGED,
-    command_line,
     folder_for,
     prepare,
     print_result,
+    save_result,
     working,
-    written,
 )
 from godfit.errors import InputError
 from godfit.io.frames import frames, is_video
@@ -42,7 +41,7 @@ def fit_frames(targets: tuple[str, ...], every: int, given: Mapping[str, Any], r
             raise click.UsageError(f"--{option}: expected one picture with it, got several frames")
     if "mask" in options and "scene" in options:
         raise click.UsageError("expected --mask or --scene, got both; a scene draws its own mask")
-    folder = folder_for(common_name(targets), run.output)
+    folder = folder_for(targets, run.output)
     sidecars = {target: read_sidecar(target) for target in targets if not is_video(target)}
     options = shared_settings(sidecars) | options
     files = {name: options.pop(name) for name in OF_EACH_FRAME if name in options}
@@ -60,9 +59,9 @@ def fit_frames(targets: tuple[str, ...], every: int, given: Mapping[str, Any], r
         )
         result = fit_clip(shots, valid=valid, seed=run.seed, progress=progress, **options)
         progress("drawing")
-        result.save(folder, command_line())
+        files = save_result(result, run, folder, ("fit.json", "fit.png"))
     notes = [*result.notes, *result.undetermined, *result.warnings]
-    print_result(result, notes, run, written(folder, "fit.json", "fit.png"))
+    print_result(result, notes, run, files)
     return 0 if result.converged else NOT_CONVERGED
 
 
@@ -94,11 +93,3 @@ def sources_of(
         stem = Path(path.rsplit("#")[0]).stem
         found[name] = pattern.replace("{stem}", stem).replace("{number}", str(number))
     return found
-
-
-def common_name(targets: tuple[str, ...]) -> str:
-    """The first frame's name without its number: frame_01.png, frame_02.png are ``frame``."""
-    if len(targets) == 1:
-        return targets[0]
-    stem = Path(targets[0]).stem.rstrip("0123456789_-. ")
-    return str(Path(targets[0]).with_name(stem or "clip"))

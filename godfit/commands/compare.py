@@ -10,12 +10,11 @@ from godfit.commands.lights import Lights, with_light
 from godfit.commands.options import PICTURE, RESULT, Command, Run
 from godfit.commands.study import (
     NOT_CONVERGED,
-    command_line,
     opened,
     prepare,
     print_result,
+    save_result,
     working,
-    written,
 )
 
 
@@ -43,7 +42,7 @@ def compare(target: str, light: Lights, run: Run, **given: Any) -> int:
             **study.options,
         )  # fmt: skip
         progress("drawing")
-        found.save(study.folder, command_line())
+        files = save_result(found, run, study.folder, ("compare.json", "compare.png"))
     notes = [note for row in found.rows for note in row.result.notes]
-    print_result(found, notes, run, written(study.folder, "compare.json", "compare.png"))
+    print_result(found, notes, run, files)
     return 0 if any(row.result.converged for row in found.rows) else NOT_CONVERGED

@@ -14,12 +14,11 @@ from godfit.commands.lights import Lights, with_light
 from godfit.commands.options import BRIGHT_PASS, PICTURE, RESULT, Command, Run, assignments
 from godfit.commands.study import (
     NOT_CONVERGED,
-    command_line,
     opened,
     prepare,
     print_result,
+    save_result,
     working,
-    written,
 )
 from godfit.io.frames import is_video
 
@@ -123,9 +122,10 @@ def fit(
         result.timing_s["import"] = imported
         result.timing_s["total"] = time.perf_counter() - STARTED
         progress("drawing")
-        result.save(study.folder, command_line())
+        names = ("fit.json", "fit.png", "render.png")
+        files = save_result(result, run, study.folder, names)
     notes = [*result.notes, *result.undetermined, *result.warnings]
-    print_result(result, notes, run, written(study.folder, "fit.json", "fit.png", "render.png"))
+    print_result(result, notes, run, files)
     return 0 if result.converged else NOT_CONVERGED
 
 

@@ -14,6 +14,7 @@ from godfit.commands.options import (
     Command,
     Run,
     check_image_name,
+    image_size,
     valid_pixels,
     with_run,
 )
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 @click.option(
     "--hard", is_flag=True, help="No anti-aliasing, as WebGL draws without multisampling."
 )
+@click.option("--size", metavar="WxH", help="Size of a scene's mask. [default: the scene's own]")
 @BRIGHT_PASS
 @SHADER
 @LIMIT
@@ -50,8 +52,9 @@ if TYPE_CHECKING:
 def mask(scene: str | None, target: str | None, hard: bool, run: Run, **options: Any) -> int:
     """Draw the occlusion mask of SCENE.toml, or estimate that of a finished picture.
 
-    The mask of a scene is anti-aliased. With --from-image the mask is estimated from TARGET, as
-    `godfit fit` does without a mask; edit it and give it to `godfit fit --mask`.
+    A glTF file with a camera and a light is a scene too. The mask of a scene is anti-aliased.
+    With --from-image the mask is estimated from TARGET, as `godfit fit` does without a mask; edit
+    it and give it to `godfit fit --mask`.
     """
     from godfit.io.image import write_image
 
@@ -61,9 +64,12 @@ def mask(scene: str | None, target: str | None, hard: bool, run: Run, **options:
     assert run.output is not None
     check_image_name(run.output)
     if scene is not None:
-        values, notes = mask_of_scene(scene, hard)
+        size = options.pop("size")
+        values, notes = mask_of_scene(scene, hard, None if size is None else image_size(size))
     else:
         assert target is not None
+        if options.pop("size") is not None:
+            raise click.UsageError("--size: expected a scene with it, got a picture")
         values, notes = mask_of_picture(target, run, **options)
     write_image(run.output, values)
     if not run.quiet:
@@ -72,15 +78,19 @@ def mask(scene: str | None, target: str | None, hard: bool, run: Run, **options:
     return 0
 
 
-def mask_of_scene(scene: str, hard: bool) -> tuple[np.ndarray, tuple[str, ...]]:
-    """(h, w) or (h, w, 3) the mask of a scene's file, and notes on the scene."""
+def mask_of_scene(
+    scene: str, hard: bool, size: tuple[int, int] | None = None
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """(h, w) or (h, w, 3) the mask of a scene's file, and notes on the scene. ``size`` (h, w)
+    replaces that of the file."""
     from godfit.scenes.scene import read_scene
-    from godfit.scenes.view import drawn_mask
+    from godfit.scenes.view import drawn_mask, resized
 
     with Progress(quiet=False, verbose=False) as progress:
         start_jax()
         progress("loading meshes")
         stage = read_scene(scene)
+        stage = stage if size is None else resized(stage, size)
         progress("drawing")
         return drawn_mask(stage, not hard), stage.notes
 

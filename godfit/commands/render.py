@@ -262,13 +262,16 @@ def on_screen(
     """The picture of a model that reads a mask or a scene, and the transfer of its file."""
     from godfit.io.image import read_image
     from godfit.request import check_model
+    from godfit.scenes.mesh import MESH_SUFFIXES
 
     scene, settings = None, {}
-    if mask.endswith(".toml"):
+    if mask.lower().endswith((".toml", *MESH_SUFFIXES)):
         from godfit.scenes.scene import read_scene
-        from godfit.scenes.view import light_on_screen
+        from godfit.scenes.view import light_on_screen, resized
 
         scene = read_scene(mask)
+        if scene.any_size and options["size"]:
+            scene = resized(scene, options["size"])
         settings = {**scene.settings, **light_on_screen(scene)}
         transfer = settings.pop("transfer", "none") if transfer == "none" else transfer
     settings |= recorded

@@ -10,12 +10,11 @@ from godfit.commands.lights import Lights, with_light
 from godfit.commands.options import PICTURE, RESULT, Command, Run
 from godfit.commands.study import (
     NOT_CONVERGED,
-    command_line,
     opened,
     prepare,
     print_result,
+    save_result,
     working,
-    written,
 )
 
 
@@ -49,6 +48,6 @@ def select(target: str, light: Lights, run: Run, **given: Any) -> int:
             **study.options,
         )  # fmt: skip
         progress("drawing")
-        found.save(study.folder, command_line())
-    print_result(found, found.base.notes, run, written(study.folder, "select.json", "select.png"))
+        files = save_result(found, run, study.folder, ("select.json", "select.png"))
+    print_result(found, found.base.notes, run, files)
     return 0 if found.recommended.like_noise else NOT_CONVERGED

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import logging
 import os
+import re
 import shlex
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
 
     from godfit.io.image import Image
 
+VIDEO_FRAME = re.compile(r"#\d+$")
+"""The number of a frame, at the end of its name."""
 NOT_CONVERGED = 3
 """Exit status of a fit that did not converge."""
 FIT_BYTES = 110
@@ -52,10 +56,17 @@ class Study(NamedTuple):
     folder: Path
 
 
-def folder_for(target: str, output: str | None) -> Path:
-    """The folder of the result. It is checked before the work: raises InputError if it cannot be
-    written."""
-    folder = Path(output) if output else Path(target).with_suffix(".godfit")
+def folder_for(targets: Sequence[str], output: str | None) -> Path:
+    """The folder of the result of one target, or of the frames of a clip. It is checked before the
+    work: raises InputError if it cannot be written, and if a default folder holds the result of
+    another target."""
+    folder = Path(output) if output else Path(common_name(targets)).with_suffix(".godfit")
+    other = None if output else other_target(folder, targets)
+    if other is not None:
+        raise InputError(
+            f"output: '{folder}' already holds the result of '{other}'; choose another folder with "
+            "-o, or remove it"
+        )
     near = folder
     while not near.exists() and near != near.parent:
         near = near.parent
@@ -66,6 +77,36 @@ def folder_for(target: str, output: str | None) -> Path:
     if not os.access(near, os.W_OK):
         raise InputError(f"output: '{near}' cannot be written; choose another folder with -o")
     return folder
+
+
+def common_name(targets: Sequence[str]) -> str:
+    """The first frame's name without its number: frame_01.png, frame_02.png are ``frame``. A single
+    target keeps its name."""
+    if len(targets) == 1:
+        return targets[0]
+    stem = Path(targets[0]).stem.rstrip("0123456789_-. ")
+    return str(Path(targets[0]).with_name(stem or "clip"))
+
+
+def other_target(folder: Path, targets: Sequence[str]) -> str | None:
+    """The target, or the first frame, whose result lies in a folder, if ``targets`` are others:
+    frame.png and frame.jpg have one default folder."""
+    for name in ("fit.json", "select.json", "compare.json"):
+        try:
+            record = json.loads((folder / name).read_bytes())
+            fits = [record, record.get("fit"), *(row["fit"] for row in record.get("fits", ()))]
+            earlier = [frame["path"] for frame in record.get("frames", ())]
+            earlier += [fit["inputs"]["target"]["path"] for fit in fits if fit and "inputs" in fit]
+        except (OSError, ValueError, LookupError, TypeError, AttributeError):
+            # No record, or one that nobody here has written: it is replaced as before.
+            continue
+        # A frame of a video has its number after the video's name.
+        mine, theirs = Path(targets[0]), Path(VIDEO_FRAME.sub("", earlier[0]) if earlier else "")
+        numbered = len(targets) > 1 and "frames" in record
+        same = mine.suffix == theirs.suffix if numbered else mine.name == theirs.name
+        if not same and theirs.name:
+            return str(theirs)
+    return None
 
 
 def opened(
@@ -79,7 +120,7 @@ def opened(
 
     options = read_sidecar(target) | {k: v for k, v in given.items() if v is not None}
     ignore = options.pop("ignore")
-    folder = folder_for(target, output)
+    folder = folder_for([target], output)
     # The target is read first: a missing one should not be reported as a missing mask.
     image = read_image(target, transfer=options.get("transfer", "none"), finite=False)
     for one, other in (("mask", "scene"), ("scene", "mask")):
@@ -206,6 +247,35 @@ class Result(Protocol):
     def record(self, command: str = "") -> dict[str, Any]: ...
 
 
+def save_result(result: SavedResult, run: Run, folder: Path, names: tuple[str, ...]) -> str:
+    """Write a result's files ``names`` into ``folder``, the record first, and return a line that
+    lists those that were written. Pictures that fail are warned of. Where the record cannot be
+    written, the result is printed all the same before the OSError is raised."""
+    from godfit.report.files import PictureNotWritten
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", PictureNotWritten)
+        try:
+            result.save(folder, command_line())
+        except OSError:
+            print_result(result, (), run)
+            raise
+    failed = [w.message for w in caught if isinstance(w.message, PictureNotWritten)]
+    for message in failed:
+        if not run.quiet:
+            warn(str(message))
+    lost = {message.name for message in failed}
+    return f"{folder}{os.sep}: {', '.join(name for name in names if name not in lost)}"
+
+
+@runtime_checkable
+class SavedResult(Result, Protocol):
+    """A result that has a folder of its own."""
+
+    def save(self, folder: str | os.PathLike[str], command: str = "") -> None: ...
+
+
 def print_result(result: Result, notes: Iterable[str], run: Run, files: str = "") -> None:
     """Print warnings, and the record, or the summary with the ``files`` that were written."""
     if not run.quiet:
@@ -217,7 +287,3 @@ def print_result(result: Result, notes: Iterable[str], run: Run, files: str = ""
         click.echo(result.summary())
         if files:
             click.echo(f"\n  {files}")
-
-
-def written(folder: Path, *names: str) -> str:
-    return f"{folder}{os.sep}: {', '.join(names)}"

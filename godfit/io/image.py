@@ -9,13 +9,12 @@ need one call of a library are in ``godfit.io.readers``.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import hashlib
 import io
 import os
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +22,7 @@ import numpy as np
 
 from godfit.errors import InputError
 from godfit.io import readers
+from godfit.io.exr_chunks import may_be_whole
 from godfit.io.readers import CheckSize, Reader, Samples
 from godfit.io.regular_files import read_regular
 from godfit.runtime.files import atomic_write
@@ -45,6 +45,8 @@ SRGB_LINEAR_END = 0.04045
 """Encoded value at which sRGB's linear segment ends and its power begins (IEC 61966-2-1)."""
 SRGB_LINEAR_END_DECODED = 0.0031308
 """The same in linear light."""
+PNG_SAMPLES = {b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"}
+"""Chunks of a PNG that hold its samples. libpng warns of faults in others, which change none."""
 VALUES_PER_STRIDE = 2**18
 """Values that are converted at a time: the float64 copies of a whole image would take too much."""
 
@@ -145,8 +147,7 @@ def read_layer(
     kind, reader = _recognise(data, name)
     digest, notes = hashlib.sha256(data).hexdigest(), []
     try:
-        with _quiet():
-            codes, top, step = reader(data, notes, check_pixels)
+        codes, top, step = reader(data, notes, check_pixels)
         del data  # up to a third of the memory in use
         values, quantum, alpha = _linear(codes, top, transfer, notes, finite)
         rounding = _rounding(codes, step, values)
@@ -365,26 +366,6 @@ def _are_multiples(values: np.ndarray, top: int) -> bool:
     return len(np.unique(np.rint(scaled))) >= FEWEST_CODES
 
 
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence decoders: libpng and OpenEXR write to descriptor 2, OpenEXR also to sys.stdout.
-
-    No error is lost: every reader checks by itself that the file is whole, and raises.
-    """
-    with (
-        open(os.devnull, "w") as null,
-        contextlib.redirect_stdout(null),
-        contextlib.redirect_stderr(null),
-        contextlib.ExitStack() as stack,
-    ):
-        with contextlib.suppress(OSError):  # the process may have no descriptor 2
-            saved = os.dup(2)
-            stack.callback(os.close, saved)
-            stack.callback(os.dup2, saved, 2)
-            os.dup2(null.fileno(), 2)
-        yield
-
-
 def _note_orientation(orientation: int, notes: list[str]) -> None:
     if orientation != 1:
         notes.append(f"The orientation tag ({orientation}) was ignored: rows are as stored.")
@@ -397,6 +378,7 @@ def _read_png(data: bytes, notes: list[str], check: CheckSize) -> Samples:
     kinds: set[bytes] = set()
     used: set[int] = set()
     view, start = memoryview(data), 8
+    kept = [view[:start]]
     while b"IEND" not in kinds:
         end = start + 12 + int.from_bytes(view[start : start + 4], "big")
         if end > len(data):
@@ -407,6 +389,8 @@ def _read_png(data: bytes, notes: list[str], check: CheckSize) -> Samples:
         if data[start + 4 : start + 8] == b"sBIT":
             # Bits of each channel that hold something; the others only fill up.
             used = {bits for bits in data[start + 8 : end - 4] if bits > 0}
+        if data[start + 4 : start + 8] in PNG_SAMPLES:
+            kept.append(view[start:end])
         start = end
     if b"CgBI" in kinds:
         raise InputError(
@@ -424,7 +408,7 @@ def _read_png(data: bytes, notes: list[str], check: CheckSize) -> Samples:
     elif depth < 8:
         levels = 2**depth
         notes.append(f"Only {levels} grey levels: the true step is 1/{levels - 1}, not 1/255.")
-    codes = imagecodecs.png_decode(data)
+    codes = imagecodecs.png_decode(data if kinds <= PNG_SAMPLES else b"".join(kept))
     bits = max(used, default=16)
     if colour != 3 and depth >= 8 and bits < depth:
         return Samples(codes >> (depth - bits), 2**bits - 1)
@@ -488,6 +472,8 @@ def _read_exr(data: bytes, notes: list[str], check: CheckSize) -> Samples:
     check((height, width))
     if not np.array_equal(window, header["displayWindow"]):
         notes.append("Only the data window was read; it is not the whole display window.")
+    if not may_be_whole(data):
+        raise InputError("the file is cut short or damaged; copy or save it again")
     file = OpenEXR.File(io.BytesIO(data))
     if not file.parts:  # OpenEXR's only sign that the pixels could not be decoded
         raise InputError("the file is cut short or damaged; copy or save it again")

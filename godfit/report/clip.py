@@ -13,6 +13,7 @@ from godfit.inference.estimates import Estimate
 from godfit.models.base import AbstractModel
 from godfit.report.files import write_result
 from godfit.report.record import SCHEMA, estimate, versions
+from godfit.report.style import own_style
 from godfit.report.text import given, number, parameter_table
 
 if TYPE_CHECKING:
@@ -61,10 +62,12 @@ class ClipResult:
 
     def plot(self) -> Figure:
         """A matplotlib figure: the light's path, and the shader of each frame alone."""
-        return _plot(self)
+        with own_style():
+            return _plot(self)
 
     def save(self, folder: str | os.PathLike[str], command: str = "") -> None:
-        """Write fit.json and fit.png into ``folder``; raises OSError."""
+        """Write fit.json and fit.png into ``folder``. Raises OSError, and warns of
+        pictures that fail."""
         record = ("fit.json", self.record(command))
         write_result(Path(folder), record, ("fit.png", self.plot))
 

@@ -15,6 +15,7 @@ from godfit.report.figure import worst_channel
 from godfit.report.files import write_result
 from godfit.report.record import fit_record
 from godfit.report.result import FitResult
+from godfit.report.style import own_style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -91,10 +92,12 @@ class Comparison:
 
     def plot(self) -> Figure:
         """The target and every fit above, what each leaves below."""
-        return _plot(self)
+        with own_style():
+            return _plot(self)
 
     def save(self, folder: str | os.PathLike[str], command: str = "") -> None:
-        """Write compare.json and compare.png into ``folder``; raises OSError."""
+        """Write compare.json and compare.png into ``folder``. Raises OSError, and warns of
+        pictures that fail."""
         record = ("compare.json", self.record(command))
         write_result(Path(folder), record, ("compare.png", self.plot))
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import io
 import json
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from godfit.errors import InputError
+from godfit.report.style import own_style
 from godfit.runtime.files import atomic_write
 from godfit.runtime.parallel import parallel_map
 
@@ -16,6 +19,16 @@ if TYPE_CHECKING:
 
 DPI = 100
 """Pixels an inch of a figure: panels of 4 inches hold pictures of 400 pixels without scaling."""
+
+
+class PictureNotWritten(UserWarning):
+    """A picture of a result could not be drawn or written; ``name`` is its file's."""
+
+    def __init__(self, name: str, error: Exception) -> None:
+        self.name = name
+        reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+        reason = str(error) if isinstance(error, InputError) else reason
+        super().__init__(f"{name} was not written: {' '.join(str(reason).split())}")
 
 
 def write_result(
@@ -33,19 +46,30 @@ def write_result(
     - `figure`: the name of the PNG file and what draws it.
     - `images`: names of further files, each with what writes it to a path.
 
-    Each file appears whole or not at all, and other files in the folder stay. Raises OSError.
+    Each file appears whole or not at all, and other files in the folder stay. Raises OSError where
+    the record cannot be written. A picture that fails is warned of (``PictureNotWritten``).
     """
     folder.mkdir(parents=True, exist_ok=True)
     name, values = record
+    # A name that is not UTF-8 has lone surrogates: escaped, they are JSON and can be read again.
     text = json.dumps(values, indent=1, ensure_ascii=False) + "\n"
-    atomic_write(folder / name, text.encode())
+    atomic_write(folder / name, text.encode(errors="backslashreplace"))
 
-    def draw() -> None:
+    def draw(path: Path) -> None:
         drawn = io.BytesIO()
-        figure[1]().savefig(drawn, format="png", dpi=DPI)
-        atomic_write(folder / figure[0], drawn.getvalue())
+        with own_style():
+            figure[1]().savefig(drawn, format="png", dpi=DPI)
+        atomic_write(path, drawn.getvalue())
 
-    def write(item: tuple[str, Callable[[Path], None]]) -> Callable[[], None]:
-        return lambda: item[1](folder / item[0])
+    def failure(item: tuple[str, Callable[[Path], None]]) -> PictureNotWritten | None:
+        name, write = item
+        try:
+            write(folder / name)
+        except Exception as error:
+            return PictureNotWritten(name, error)
+        return None
 
-    parallel_map(lambda work: work(), [draw, *map(write, (images or {}).items())])
+    pictures = [(figure[0], draw), *(images or {}).items()]
+    for failed in parallel_map(failure, pictures):
+        if failed is not None:
+            warnings.warn(failed, stacklevel=3)

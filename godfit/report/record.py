@@ -19,7 +19,7 @@ from godfit.io.regular_files import MAX_TEXT_BYTES, read_regular
 from godfit.models.build import mitchell_at
 from godfit.models.mitchell import Mitchell
 from godfit.scenes.scene import read_scene
-from godfit.scenes.view import drawn_mask
+from godfit.scenes.view import drawn_mask, resized
 
 if TYPE_CHECKING:
     from godfit.inference.estimates import Estimate
@@ -215,6 +215,9 @@ def recorded(
         occlusion = image.values
     elif stage is not None:
         drawn = read_scene(stage)
+        drawn = (
+            resized(drawn, _pair(record, "pass_size") or drawn.size) if drawn.any_size else drawn
+        )
         notes += [f"scene: {note}" for note in drawn.notes]
         occlusion = drawn_mask(drawn, drawn.antialias is not False)
     else:

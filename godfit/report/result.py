@@ -19,7 +19,9 @@ from godfit.models.base import AbstractModel
 from godfit.report.figure import plot
 from godfit.report.files import write_result
 from godfit.report.record import fit_record
+from godfit.report.style import own_style
 from godfit.report.text import html, summary
+from godfit.runtime.guest import as_guest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -81,17 +83,21 @@ class FitResult:
 
     @functools.cached_property
     def _levels(self) -> np.ndarray:
-        return self.picture.rendered(self.model)
+        with as_guest():
+            return self.picture.rendered(self.model)
 
     def render(self) -> np.ndarray:
         """The fitted image, linear, clamped to [0, 1]; shaped like the target."""
-        image = np.asarray(decode(self._levels / np.float32(LEVELS), self.picture.transfer))
+        levels = self._levels / np.float32(LEVELS)
+        with as_guest():
+            image = np.asarray(decode(levels, self.picture.transfer))
         return image if image.shape[-1] == 3 else image[..., 0]
 
     @property
     def mask(self) -> np.ndarray:
         """(h, w) or (h, w, 3): the occlusion mask that the light pass reads, given or estimated."""
-        return np.asarray(occlusion_of(self.model, np.asarray(self.picture.mask)))
+        with as_guest():
+            return np.asarray(occlusion_of(self.model, np.asarray(self.picture.mask)))
 
     @property
     def residual(self) -> np.ndarray:
@@ -110,10 +116,12 @@ class FitResult:
 
     def plot(self) -> Figure:
         """A matplotlib figure: target, fitted, residual, parameters."""
-        return plot(self)
+        with as_guest(), own_style():
+            return plot(self)
 
     def save(self, folder: str | os.PathLike[str], command: str = "") -> None:
-        """Write fit.json, fit.png and render.png into ``folder``; raises OSError."""
+        """Write fit.json, fit.png and render.png into ``folder``. Raises OSError, and warns of
+        pictures that fail."""
 
         def render(path: Path) -> None:
             write_image(path, self.render(), transfer=self.picture.transfer)

@@ -18,6 +18,7 @@ from godfit.report.figure import worst_channel
 from godfit.report.files import write_result
 from godfit.report.record import fit_record
 from godfit.report.result import FitResult
+from godfit.report.style import own_style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -131,10 +132,12 @@ class Selection:
 
     def plot(self) -> Figure:
         """The target, the residual of every rung, and the criteria over the unknowns."""
-        return _plot(self)
+        with own_style():
+            return _plot(self)
 
     def save(self, folder: str | os.PathLike[str], command: str = "") -> None:
-        """Write select.json and select.png into ``folder``; raises OSError."""
+        """Write select.json and select.png into ``folder``. Raises OSError, and warns of
+        pictures that fail."""
         record = ("select.json", self.record(command))
         write_result(Path(folder), record, ("select.png", self.plot))
 

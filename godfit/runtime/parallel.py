@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-import jax
 import numpy as np
+
+from godfit.runtime.guest import own_settings
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -45,8 +46,8 @@ def parallel_imap(work: Callable[[Item], Result], items: Iterable[Item]) -> Iter
     later ones."""
 
     def in_single_precision(item: Item) -> Result:
-        # JAX's settings belong to a thread, so a new thread does not have the caller's.
-        with jax.enable_x64(False):
+        # Settings belong to a thread, so a new thread does not have the caller's.
+        with own_settings():
             return work(item)
 
     items = list(items)

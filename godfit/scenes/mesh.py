@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import io
-import json
-import logging
 import os
 import re
-import urllib.parse
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -16,38 +13,38 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from godfit.errors import InputError
+from godfit.runtime.host_state import warnings_kept
+from godfit.scenes.gltf import Gltf, Part
+from godfit.scenes.ply import read_ply
+from godfit.scenes.polygons import triangulated
 
 MESH_SUFFIXES = (".gltf", ".glb", ".obj", ".ply", ".stl")
-"""File formats that trimesh loads with their transforms."""
-COMPRESSION_EXTENSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
-"""Extensions of glTF whose positions trimesh does not load."""
+"""File formats of meshes."""
+GLTF_SUFFIXES = (".gltf", ".glb")
+"""File formats of whole scenes, with cameras and lights."""
 MAX_COORDINATE = 1e18
 """Largest coordinate of a vertex: the products of two edges stay finite in float32."""
-PLY_HEADER = 65536
-"""Bytes from the start of a PLY file in which its header ends."""
-GLB_JSON_START = 20
-"""Byte of a GLB file at which its JSON begins: a header of 12 bytes comes first, then the length
-and the kind of the first chunk, 4 bytes each."""
-GLTF_TRIANGLES = 4
-"""Mode of a glTF primitive that is a list of triangles, the default."""
-GLTF_TRIANGLE_FAN = 6
-"""Mode of a glTF primitive that is a fan of triangles, which trimesh passes over."""
+OBJ_SURFACE = re.compile(rb"^\s*(surf|curv2?)\s", re.MULTILINE)
+"""Free-form surfaces of an OBJ file, which are no polygons."""
 INSIDE_RAY = (0.5377, 0.2718, 0.7983)
 """Direction of the ray of ``contains``: no edge of a modelled mesh lies along it."""
 
 
 class Mesh(NamedTuple):
-    """Vertices (v, 3) float64, each position once; faces (f, 3) int32; and notes for the user."""
+    """Vertices (v, 3) float64, each position once; faces (f, 3) int32; notes for the user; and
+    which faces (f,) are drawn only where they are counter-clockwise, None for none."""
 
     vertices: np.ndarray
     faces: np.ndarray
     notes: tuple[str, ...] = ()
+    single_sided: np.ndarray | None = None
 
 
 def load(path: Path) -> Mesh:
     """The mesh of a glTF, GLB, OBJ, PLY or STL file: its whole scene graph with transforms, without
-    materials and textures. Raises InputError for a file that is missing, damaged or has no
-    triangles."""
+    colours and textures. Faces of glTF's single-sided materials are drawn from in front alone, all
+    others from both sides. Raises InputError for a file that is missing, damaged or has no
+    triangles, and for geometry that is not implemented."""
     if not os.path.isfile(path):
         raise InputError(f"'{path}': expected a mesh, got no such file; check the path")
     suffix = path.suffix.lower()
@@ -56,12 +53,13 @@ def load(path: Path) -> Mesh:
         raise InputError(f"'{path}': expected one of {expected}, got '{path.suffix}'")
     if path.stat().st_size == 0:
         raise InputError(f"'{path}': expected a mesh, got an empty file; export it again")
-    notes = _check_gltf(path)
-    parts = [(v, f) for v, f in _loaded(path) if len(f)]
+    parts, notes = _loaded(path)
+    parts = [part for part in parts if len(part.faces)]
     if not parts:
         raise InputError(f"'{path}': expected triangles, got none; export faces, not points")
-    first, vertices, faces = 0, [], []
-    for v, f in parts:
+    first, vertices, faces, single = 0, [], [], []
+    for part in parts:
+        v, f = part.vertices, part.faces
         if v.shape[1:] != (3,) or f.shape[1:] != (3,):
             raise InputError(
                 f"'{path}': expected three coordinates a vertex and three corners a face, got "
@@ -74,59 +72,117 @@ def load(path: Path) -> Mesh:
             )
         vertices.append(v)
         faces.append(f + first)
+        single.append(np.full(len(f), part.single_sided))
         first += len(v)
-    if suffix == ".ply":
-        _check_ply(path, sum(map(len, faces)))
-    mesh = clean(np.concatenate(vertices), np.concatenate(faces), str(path))
+    mesh = clean(np.concatenate(vertices), np.concatenate(faces), str(path), np.concatenate(single))
     return mesh._replace(notes=mesh.notes + notes)
 
 
-def _loaded(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Vertices and faces of every part of a file, in the world, by trimesh."""
-    # Imported here: trimesh takes long to import, and most runs need no mesh.
-    import trimesh
-    from trimesh.resolvers import FilePathResolver
-
-    class Resolver(FilePathResolver):
-        def get(self, name: str):
-            return super().get(urllib.parse.unquote(name))
-
+def _loaded(path: Path) -> tuple[list[Part], tuple[str, ...]]:
+    """The parts of a file, and notes on them."""
     suffix = path.suffix.lower()
-    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
+    if suffix in GLTF_SUFFIXES:
+        return _gltf_parts(path)
     try:
-        with warnings.catch_warnings():
-            # trimesh warns of textures and normals, which a mask does not need.
-            warnings.simplefilter("ignore")
-            # `process` would drop vertices that are not finite, which are an error here.
-            scene = trimesh.load_scene(
-                _obj_bytes(path) if suffix == ".obj" else str(path),
-                file_type=suffix[1:],
-                resolver=Resolver(str(path)),
-                process=False,
-                skip_materials=True,
-            )
-            return [
-                (np.asarray(part.vertices, np.float64), np.asarray(part.faces, np.int64))
-                for part in scene.dump()
-                if isinstance(part, trimesh.Trimesh)
-            ]
+        if suffix == ".ply":
+            vertices, rings = read_ply(path)
+            _check_indices(path, rings, len(vertices))
+            faces, crossed = triangulated(vertices, rings)
+            return [Part(vertices, faces, False)], _crossed_note(path, crossed)
+        notes, source = (), path.read_bytes()
+        if suffix == ".obj":
+            source, notes = _obj_bytes(path, source)
+            _check_materials(path, source)
+        return _trimesh_parts(source, suffix), notes
     except InputError:
         raise
     except MemoryError:
         raise InputError(f"'{path}': out of memory; expected a smaller mesh") from None
     except Exception as error:
-        # trimesh's loaders raise whatever their parsers raise. An ImportError means that binary
-        # data was taken for text, and that the package which guesses encodings is missing.
+        # Loaders raise whatever their parsers raise. An ImportError means that binary data was
+        # taken for text, and that the package which guesses encodings is missing.
         got = f"{type(error).__name__}: {error}"
-        if isinstance(error, (ImportError, AssertionError)):
+        if isinstance(error, ImportError):
             got = "a cut or damaged file"
         raise InputError(f"'{path}': expected a mesh, got {got}; export it again") from error
 
 
-def clean(vertices: np.ndarray, faces: np.ndarray, name: str) -> Mesh:
+def open_gltf(path: Path) -> Gltf:
+    """A glTF or GLB file. Raises InputError for one that is damaged, and for extensions that are
+    required and not implemented."""
+    try:
+        file = Gltf(path)
+        file.missing_textures()
+    except InputError:
+        raise
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"'{path}': expected a glTF 2.0 header, got {type(error).__name__}: {error}; "
+            "export it again"
+        ) from error
+    return file
+
+
+def _gltf_parts(path: Path) -> tuple[list[Part], tuple[str, ...]]:
+    file = open_gltf(path)
+    try:
+        parts = file.parts()
+    except InputError:
+        raise
+    except Exception as error:
+        got = f"{type(error).__name__}: {error}"
+        raise InputError(f"'{path}': expected a mesh, got {got}; export it again") from error
+    missing = file.missing_textures()
+    notes = [f"{missing} textures are missing; a mask needs none"] if missing else []
+    return parts, tuple(f"'{path}': {note}" for note in [*notes, *file.notes])
+
+
+def _trimesh_parts(source: bytes, suffix: str) -> list[Part]:
+    """The parts of an OBJ or STL file, by trimesh."""
+    # Imported here: trimesh takes long to import, and most runs need no mesh.
+    import trimesh
+
+    with warnings_kept(), warnings.catch_warnings():
+        # trimesh warns of textures and normals, which a mask does not need.
+        warnings.simplefilter("ignore")
+        # `process` would drop vertices that are not finite, which are an error here.
+        scene = trimesh.load_scene(
+            io.BytesIO(source), file_type=suffix[1:], process=False, skip_materials=True
+        )
+        return [
+            Part(np.asarray(part.vertices, np.float64), np.asarray(part.faces, np.int64), False)
+            for part in scene.dump()
+            if isinstance(part, trimesh.Trimesh)
+        ]
+
+
+def _check_indices(path: Path, rings: list[np.ndarray], count: int) -> None:
+    """Raise InputError for polygons with other corners than ``count`` vertices."""
+    corners = np.concatenate([np.zeros(0, np.int64), *rings])
+    least, most = corners.min(initial=0), corners.max(initial=0)
+    if least < 0 or (corners.size and most >= count):
+        raise InputError(
+            f"'{path}': expected indices from 0 to {count - 1}, got {least} to {most}; "
+            "export it again"
+        )
+
+
+def _crossed_note(path: Path, crossed: int) -> tuple[str, ...]:
+    if not crossed:
+        return ()
+    return (f"'{path}': {crossed:,} polygons cross themselves; programs fill these differently",)
+
+
+def clean(
+    vertices: np.ndarray, faces: np.ndarray, name: str, single_sided: np.ndarray | None = None
+) -> Mesh:
     """A mesh with equal positions merged, and without faces that have no area or occur twice.
     ``name`` is that of the mesh in messages. Raises InputError for vertices that are not finite,
-    and where no face is left."""
+    and where no face is left.
+
+    A face that occurs twice is ``single_sided`` (f,) only where each of the two is, and both are
+    turned the same way.
+    """
     bad = np.any(~(np.abs(vertices) < MAX_COORDINATE), axis=-1)
     if bad[faces].any():
         count = len(np.unique(faces[bad[faces]]))
@@ -145,11 +201,21 @@ def clean(vertices: np.ndarray, faces: np.ndarray, name: str) -> Mesh:
     faces = faces[~flat]
     if not len(faces):
         raise InputError(f"'{name}': expected triangles with an area, got none; export it again")
-    faces = faces[_first_equal(np.sort(faces, axis=1)) == np.arange(len(faces))]
+    first = _first_equal(np.sort(faces, axis=1))
+    kept = first == np.arange(len(faces))
+    if single_sided is not None:
+        single_sided = single_sided[~flat]
+        # The permutation that sorts three corners is even where its first entries ascend so.
+        order = np.argsort(faces, axis=1)
+        even = (order[:, 1] - order[:, 0]) % 3 == 1
+        from_both_sides = ~single_sided | (even != even[first])
+        single_sided = ~np.isin(np.arange(len(faces)), first[from_both_sides])[kept]
+        single_sided = single_sided if single_sided.any() else None
+    faces = faces[kept]
     used = np.zeros(len(vertices), bool)
     used[faces] = True
     renumbered = np.cumsum(used, dtype=np.int32) - 1
-    return Mesh(vertices[used], renumbered[faces], notes)
+    return Mesh(vertices[used], renumbered[faces], notes, single_sided)
 
 
 def _first_equal(rows: np.ndarray) -> np.ndarray:
@@ -164,9 +230,10 @@ def _first_equal(rows: np.ndarray) -> np.ndarray:
     return first
 
 
-def edges(faces: np.ndarray) -> np.ndarray:
+def edges(faces: np.ndarray, single_sided: np.ndarray | None = None) -> np.ndarray:
     """(e, 4) int32, every edge once: its ends a, b, and the opposite corners c, d of its two faces.
-    d is -1 where the edge has one face; both are -1 where it has more than two."""
+    d is -1 where the edge has one face; both are -1 where it has more than two, and where only one
+    of the two may be drawn: with ``single_sided`` (f,), a face that turns its back."""
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     across = np.concatenate([faces[:, 2], faces[:, 0], faces[:, 1]])
     low, high = ends.min(1), ends.max(1)
@@ -175,8 +242,17 @@ def edges(faces: np.ndarray) -> np.ndarray:
     key, low, high, across = key[order], low[order], high[order], across[order]
     first = np.flatnonzero(np.diff(key, prepend=-1))
     count = np.diff(first, append=len(key))
-    c = np.where(count <= 2, across[first], -1)
-    d = np.where(count == 2, across[np.minimum(first + 1, len(key) - 1)], -1)
+    second = np.minimum(first + 1, len(key) - 1)
+    joined = count <= 2
+    if single_sided is not None:
+        # Faces turned the same way run through their common edge in opposite directions.
+        single = np.tile(single_sided, 3)[order]
+        rising = (ends[:, 0] < ends[:, 1])[order]
+        apart = single[first] != single[second]
+        apart |= single[first] & (rising[first] == rising[second])
+        joined &= ~((count == 2) & apart)
+    c = np.where(joined, across[first], -1)
+    d = np.where(joined & (count == 2), across[second], -1)
     return np.stack([low[first], high[first], c, d], 1).astype(np.int32)
 
 
@@ -196,75 +272,57 @@ def contains(mesh: Mesh, point: np.ndarray) -> bool:
     return bool(inside.sum() % 2)
 
 
-def _obj_bytes(path: Path) -> io.BytesIO:
-    """An OBJ file in UTF-8, with absolute indices in place of relative ones."""
-    data = path.read_bytes().replace(b"\r\n", b"\n").replace(b"\\\n", b" ")
+def _check_materials(path: Path, data: bytes) -> None:
+    """Raise InputError where an OBJ file uses a material whose alpha texture cuts holes."""
+    used = {name.strip() for name in re.findall(rb"^\s*usemtl\s+(.+)$", data, re.MULTILINE)}
+    for name in re.findall(rb"^\s*mtllib\s+(.+)$", data, re.MULTILINE):
+        library = path.parent / name.strip().decode(errors="replace")
+        if not library.is_file():
+            continue
+        for text in re.split(rb"^\s*newmtl\s+", library.read_bytes(), flags=re.MULTILINE)[1:]:
+            material, _, body = text.partition(b"\n")
+            if material.strip() in used and re.search(rb"^\s*map_d\s", body, re.MULTILINE):
+                shown = material.strip().decode(errors="replace")
+                raise InputError(
+                    f"'{path}': expected surfaces without holes cut by alpha, got map_d in the "
+                    f"material '{shown}'; model the holes, or remove map_d"
+                )
+
+
+def _obj_bytes(path: Path, data: bytes) -> tuple[bytes, tuple[str, ...]]:
+    """An OBJ file in UTF-8, with triangles in place of polygons and absolute indices in place of
+    relative ones; and notes on polygons that cross themselves."""
+    data = data.replace(b"\r\n", b"\n").replace(b"\\\n", b" ")
     # Names and comments may be in any encoding, and are ignored.
     data = data.decode("utf-8", errors="replace").encode()
+    if OBJ_SURFACE.search(data):
+        raise InputError(f"'{path}': expected polygons, got free-form surfaces; export triangles")
     # An index below 1 counts back from the last vertex before the face. trimesh counts from the
-    # last vertex of the file, which it takes 0 for as well.
-    if not re.search(rb"^\s*f[^\n]*\s[-0]", data, re.MULTILINE):
-        return io.BytesIO(data)
-    lines, count = data.split(b"\n"), 0
-    for i, line in enumerate(lines):
+    # last vertex of the file, which it takes 0 for as well. It cuts every polygon into a fan.
+    faces = rb"^\s*f(?:[^\n]*\s[-0]|(?:[ \t]+[^\s#]+){4})"
+    if not re.search(faces, data, re.MULTILINE):
+        return data, ()
+    lines, rings, vertices = [], [], []
+    for line in data.split(b"\n"):
         kind, *words = line.split(b"#")[0].split() or [b""]
-        count += kind == b"v"
-        if kind == b"f":
-            corners = [int(word.split(b"/")[0]) for word in words]
-            corners = [n + count + 1 if n < 0 else n for n in corners]
-            if min(corners, default=1) < 1:
-                raise InputError(
-                    f"'{path}': expected indices from 1, got {line.decode()!r} after {count} "
-                    "vertices; export it again"
-                )
-            lines[i] = b"f " + b" ".join(b"%d" % n for n in corners)
-    return io.BytesIO(b"\n".join(lines))
-
-
-def _check_ply(path: Path, faces: int) -> None:
-    """Reject a text file that ends before its last face: trimesh loads the faces before the end."""
-    with path.open("rb") as file:
-        header = re.search(rb"^element\s+face\s+(\d+)", file.read(PLY_HEADER), re.MULTILINE)
-    if header and faces < int(header[1]):
-        raise InputError(
-            f"'{path}': expected {int(header[1]):,} faces, got {faces:,}; the file is cut short, "
-            "export it again"
-        )
-
-
-def _check_gltf(path: Path) -> tuple[str, ...]:
-    """Reject a glTF or GLB file whose geometry trimesh would pass over or misread. Returns a note
-    where the file names textures that are not beside it."""
-    suffix = path.suffix.lower()
-    if suffix not in (".gltf", ".glb"):
-        return ()
-    data = path.read_bytes()
-    if suffix == ".glb":
-        length = int.from_bytes(data[12:16], "little")
-        data = data[GLB_JSON_START : GLB_JSON_START + length]
-    try:
-        tree = json.loads(data.decode())
-        compressed = set(COMPRESSION_EXTENSIONS) & set(tree.get("extensionsRequired", []))
-        accessors, misread = tree.get("accessors", []), {f"{name} geometry" for name in compressed}
-        for part in (p for m in tree.get("meshes", []) for p in m["primitives"]):
-            if part.get("mode", GLTF_TRIANGLES) == GLTF_TRIANGLE_FAN:
-                misread.add("triangle fans")
-            position = accessors[part["attributes"]["POSITION"]]
-            misread |= {f"{key} positions" for key in ("sparse", "normalized") if position.get(key)}
-        uris = [image.get("uri", "data:") for image in tree.get("images", [])]
-        files = [urllib.parse.unquote(u) for u in uris if not u.startswith("data:")]
-        missing = sum(not os.path.isfile(path.parent / file) for file in files)
-    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(
-            f"'{path}': expected a glTF 2.0 header, got {type(error).__name__}: {error}; "
-            "export it again"
-        ) from error
-    if misread:
-        raise InputError(
-            f"'{path}': expected plain triangles, got {', '.join(sorted(misread))}; "
-            "export it without"
-        )
-    return (f"'{path}': {missing} textures are missing; a mask needs none",) if missing else ()
+        if kind == b"v":
+            vertices.append([float(word) for word in words[:3]])
+        if kind != b"f":
+            lines.append(line)
+            continue
+        count = len(vertices)
+        corners = [int(word.split(b"/")[0]) for word in words]
+        corners = [n + count + 1 if n < 0 else n for n in corners]
+        if min(corners, default=1) < 1:
+            raise InputError(
+                f"'{path}': expected indices from 1, got {line.decode()!r} after {count} "
+                "vertices; export it again"
+            )
+        rings.append(np.array(corners, np.int64) - 1)
+    _check_indices(path, rings, len(vertices))
+    faces, crossed = triangulated(np.array(vertices, np.float64).reshape(-1, 3), rings)
+    lines += [b"f %d %d %d" % tuple(face) for face in (faces + 1).tolist()]
+    return b"\n".join(lines), _crossed_note(path, crossed)
 
 
 def _box(size: list[float]) -> Any:

@@ -76,8 +76,13 @@ def _faces(scene: Scene) -> _Faces:
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), TINY)
     albedo = np.array([obj.albedo for obj in objects]).reshape(-1, 3)[owner]
     labels = np.arange(FIRST_FACE, FIRST_FACE + len(faces), dtype=np.int32)
+    sides = [
+        np.zeros(len(obj.faces), bool) if obj.single_sided is None else np.asarray(obj.single_sided)
+        for obj in objects
+    ]
+    mesh = CameraMesh(vertices, faces, labels, np.concatenate([np.zeros(0, bool), *sides]))
     light = axes @ (np.asarray(scene.light.position, np.float64) - eye)
-    return _Faces(CameraMesh(vertices, faces, labels), normal, albedo, light)
+    return _Faces(mesh, normal, albedo, light)
 
 
 def _shaded(faces: _Faces, lens: Lens, scene: Scene) -> np.ndarray:

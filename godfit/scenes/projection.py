@@ -45,12 +45,14 @@ NO_SPHERE = Sphere(np.array([0.0, 0.0, 1.0]), 0.0)
 
 
 class CameraMesh(NamedTuple):
-    """All triangles of a scene: vertices (v, 3) float64 in camera space, faces (t, 3) int32, and
-    the label (t,) int32 of the object that each face belongs to."""
+    """All triangles of a scene: vertices (v, 3) float64 in camera space, faces (t, 3) int32, the
+    label (t,) int32 of the object that each face belongs to, and whether it is drawn only where it
+    is counter-clockwise (t,); an empty array stands for none."""
 
     vertices: np.ndarray
     faces: np.ndarray
     label: np.ndarray
+    single_sided: np.ndarray = np.zeros(0, np.bool_)
 
 
 class Triangles(NamedTuple):
@@ -175,7 +177,9 @@ def _screen_triangles(mesh, lens, size, triangles, cuts):
                 or max(y0, y1, y2) < 0
                 or min(y0, y1, y2) > height
             )
-            if area == 0 or outside or not np.isfinite(area):
+            # y is down: what is counter-clockwise in space has a negative area here.
+            culled = area > 0 and f < mesh.single_sided.shape[0] and mesh.single_sided[f]
+            if area == 0 or outside or culled or not np.isfinite(area):
                 continue
             if corners.shape[0] > 0:
                 second, third = (k, k + 1) if area > 0 else (k + 1, k)

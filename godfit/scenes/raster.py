@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from godfit.errors import InputError
 from godfit.scenes.labels import FIRST_OBJECT_LABEL
@@ -170,7 +170,8 @@ def on_screen(scene: Scene) -> Float[Array, "2"]:
 class _View(NamedTuple):
     """Arguments of the callbacks: the vertices in camera space, those of the light's outline last;
     faces, the label of each, and edges as in ``mesh.edges``; the light's centre in camera space and
-    its radius; and the focal length in half heights of the picture."""
+    its radius; the focal length in half heights of the picture; and which faces are drawn only
+    where they are counter-clockwise."""
 
     vertices: Float[Array, "v 3"]
     faces: Int[Array, "f 3"]
@@ -179,6 +180,7 @@ class _View(NamedTuple):
     centre: Float[Array, "3"]
     radius: Float[Array, ""]
     focal: Float[Array, ""]
+    single_sided: Bool[Array, " f"]
 
 
 def _colour_by_label(scene: Scene):
@@ -203,13 +205,15 @@ def _view(scene: Scene) -> _View:
         return (points - scene.camera.position[None]) @ rotation.T
 
     centre = to_camera(scene.light.position[None])[0]
-    vertices, faces, labels, edges, first = [], [], [], [], 0
+    vertices, faces, labels, edges, single, first = [], [], [], [], [], 0
     for i, obj in enumerate(scene.occluders):
         vertices.append(to_camera(obj.world()))
         faces.append(obj.faces + first)
         # -1 is no vertex.
         edges.append(jnp.where(obj.edges < 0, obj.edges, obj.edges + first))
         labels.append(jnp.full(obj.faces.shape[0], FIRST_OBJECT_LABEL + i, jnp.int32))
+        both = obj.single_sided is None
+        single.append(jnp.zeros(obj.faces.shape[0], bool) if both else obj.single_sided)
         first += obj.vertices.shape[0]
     vertices.append(_outline(centre, scene.light.radius))
     none = jnp.zeros((0, 3), jnp.int32), jnp.zeros(0, jnp.int32), jnp.zeros((0, 4), jnp.int32)
@@ -221,6 +225,7 @@ def _view(scene: Scene) -> _View:
         centre,
         scene.light.radius,
         _focal_length(scene),
+        jnp.concatenate([jnp.zeros(0, bool), *single]),
     )
 
 
@@ -298,7 +303,7 @@ def _draw(size: tuple[int, int], near: float, far: float, view: _View) -> _Drawi
     # numba takes long to import, and not every command draws a scene.
     from godfit.scenes import projection, visibility
 
-    vertices, faces, face_label, _, centre, radius, focal = (np.asarray(z) for z in view)
+    vertices, faces, face_label, _, centre, radius, focal, single = map(np.asarray, view)
     sphere = projection.Sphere(centre.astype(np.float64), float(radius))
     if not -sphere.centre[2] > near:
         raise InputError(
@@ -306,7 +311,7 @@ def _draw(size: tuple[int, int], near: float, far: float, view: _View) -> _Drawi
             "mirrored; move the camera or the light"
         )
     lens = projection.lens_of(size, float(focal), near, far)
-    mesh = projection.CameraMesh(vertices.astype(np.float64), faces, face_label)
+    mesh = projection.CameraMesh(vertices.astype(np.float64), faces, face_label, single)
     triangles, cuts = projection.screen_triangles(mesh, lens, size)
     scene = projection.ProjectedScene(triangles, sphere, lens)
     return _Drawing(mesh, scene, cuts, *visibility.label_pixels(scene, size))

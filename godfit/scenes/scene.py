@@ -1,4 +1,4 @@
-"""Scenes: a camera, a light and objects, from a TOML file.
+"""Scenes: a camera, a light and objects, from a TOML file or from a glTF file with all three.
 
 Conventions are three.js's: right-handed, y up, the view of the camera is along its own -z,
 rotations are Euler angles in the order XYZ (the matrix Rx Ry Rz), fields of view are vertical.
@@ -22,16 +22,19 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from godfit.errors import InputError, shown
 from godfit.io.image import TRANSFERS
 from godfit.io.sidecar import SIDECAR_SCATTERING
 from godfit.io.toml_table import Colour, Table
+from godfit.runtime.guest import own_settings
 from godfit.runtime.memory import check_memory
 from godfit.scattering.parameters import SCATTERING as PARAMETERS
 from godfit.scattering.taps import convention
 from godfit.scenes import mesh
+from godfit.scenes.gltf_view import view_of
+from godfit.scenes.in_view import Frustum, why_not_in_view
 
 CAMERA_FIELDS = ("position", "target", "up", "fov_y")
 """Fields of a camera that a fit can free."""
@@ -60,6 +63,10 @@ SCATTERING_LIMITS = {p.name: (p.lower, min(p.upper, MAX_SETTING)) for p in PARAM
     "pass_scale": (1e-3, 1),
 }
 """Least and greatest value of a key of [scattering], both allowed."""
+BLACK = (0.0, 0.0, 0.0)
+"""Colour of objects and of the background where a file gives none."""
+WHITE = (1.0, 1.0, 1.0)
+"""Colour of a light whose file gives none."""
 MIN_UP_SINE = 1e-6
 """Least sine of the angle between ``camera.up`` and the view: below it the camera has no sides."""
 
@@ -85,7 +92,8 @@ class Light(eqx.Module):
 
 class Object(eqx.Module):
     """A mesh and its pose: vertices (v, 3) in the object's own space, faces (f, 3), edges (e, 4) as
-    in ``godfit.scenes.mesh.edges``; position (3,), rotation (3,) in degrees, scale ()."""
+    in ``godfit.scenes.mesh.edges``; position (3,), rotation (3,) in degrees, scale (); and which
+    faces (f,) are drawn only from in front, where they are counter-clockwise (None for none)."""
 
     vertices: Float[Array, "v 3"]
     faces: Int[Array, "f 3"]
@@ -97,6 +105,7 @@ class Object(eqx.Module):
     albedo: Colour = eqx.field(static=True, default=GREY)
     in_mask: bool = eqx.field(static=True, default=True)
     in_ordinary: bool = eqx.field(static=True, default=True)
+    single_sided: Bool[Array, " f"] | None = None
 
     def world(self) -> Float[Array, "v 3"]:
         """The vertices in the world."""
@@ -118,7 +127,8 @@ class Shading(NamedTuple):
 class Scene(eqx.Module):
     """A scene whose mask can be drawn. ``size`` is (height, width) in pixels; ``antialias`` is None
     where the file leaves it open; ``scattering`` holds the shader's settings; ``shading`` is that
-    of the ordinary pass; ``notes`` are for the user."""
+    of the ordinary pass; ``notes`` are for the user. With ``any_size`` the file gives no size, and
+    a target's replaces the one here."""
 
     camera: Camera
     light: Light
@@ -129,6 +139,8 @@ class Scene(eqx.Module):
     scattering: tuple[tuple[str, Any], ...] = eqx.field(static=True, default=())
     notes: tuple[str, ...] = eqx.field(static=True, default=())
     shading: Shading = eqx.field(static=True, default=Shading())
+
+    any_size: bool = eqx.field(static=True, default=False)
 
     @property
     def occluders(self) -> list[Object]:
@@ -196,9 +208,64 @@ def _rotation(angle: Float[Array, ""], i: int, j: int) -> Float[Array, "3 3"]:
 
 
 def read_scene(path: str | os.PathLike[str]) -> Scene:
-    """Read a scene file. Raises InputError that names the file, the key, the expected and the
-    actual value."""
-    path = Path(path)
+    """Read a scene file, or a glTF file with a camera and a light of its own. Raises InputError
+    that names the file, the key, the expected and the actual value."""
+    with own_settings(any_precision=True):
+        return _read_scene(Path(path))
+
+
+def _read_scene(path: Path) -> Scene:
+    """As ``read_scene``, under whatever settings JAX has."""
+    suffix = path.suffix.lower()
+    if suffix in mesh.GLTF_SUFFIXES:
+        scene = _gltf_scene(path)
+    elif suffix in mesh.MESH_SUFFIXES:
+        raise InputError(
+            f"'{path}': expected a scene file, got a mesh, which has no camera; write a .toml with "
+            f"[image] width, height; [camera] position; [light] position, radius; [[object]] "
+            f"mesh = '{path.name}'"
+        )
+    else:
+        scene = _scene_file(path)
+    notes = _check_scene(path, scene) + _placement_notes(scene)
+    return dataclasses.replace(scene, notes=scene.notes + notes)
+
+
+def _gltf_scene(path: Path) -> Scene:
+    """The scene of a glTF file: its own camera and light, and all of its meshes as one object."""
+    if not path.is_file():
+        raise InputError(f"'{path}': expected a scene, got no such file; check the path")
+    file = mesh.open_gltf(path)
+    try:
+        view = view_of(file)
+    except InputError:
+        raise
+    except (ArithmeticError, LookupError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(
+            f"'{path}': expected a camera and a light of glTF 2.0, got {type(error).__name__}: "
+            f"{error}; export them again"
+        ) from error
+    numbers = (*view.position, *view.target, *view.light, view.fov_y, view.near, view.far)
+    if not np.isfinite(numbers).all() or not (0 < view.fov_y < 180 and view.near > 0):
+        raise InputError(
+            f"'{path}': expected a camera with yfov below 180 degrees and znear above 0, got "
+            f"{view.fov_y:g} and {view.near:g}; export it again"
+        )
+    camera = Camera(
+        _array(view.position), _array(view.target), _array(view.up), _array(view.fov_y),
+        view.near, view.far,
+    )  # fmt: skip
+    light = Light(_array(view.light), _array(view.radius), WHITE)
+    shape = mesh.load(path)
+    at_rest = _array([0.0, 0.0, 0.0]), _array([0.0, 0.0, 0.0]), _array(1.0)
+    obj = _placed(shape, at_rest, BLACK)
+    return Scene(
+        camera, light, (obj,), BLACK, view.size, notes=shape.notes + view.notes, any_size=True
+    )
+
+
+def _scene_file(path: Path) -> Scene:
+    """The scene of a TOML file."""
     root = Table.read(path, "a scene file")
     image, camera, light = (root.table(key) for key in ("image", "camera", "light"))
     size = tuple(image.whole(side, 1, MAX_PICTURE_SIDE) for side in ("height", "width"))
@@ -237,9 +304,7 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
     )
     for table in (image, camera, light, background, scattering, ordinary):
         table.finish()
-    notes = _check_scene(path, scene)
-    notes += tuple(f"the camera is inside object[{i}]" for i in _objects_around_camera(scene))
-    return dataclasses.replace(scene, notes=scene.notes + notes)
+    return scene
 
 
 def _object(table: Table) -> tuple[Object, tuple[str, ...]]:
@@ -262,17 +327,16 @@ def _object(table: Table) -> tuple[Object, tuple[str, ...]]:
             else:
                 sizes[key] = table.number(key, default, above=0.0)
         shape = mesh.primitive(kind, **sizes)
-    obj = Object(
-        _array(shape.vertices),
-        jnp.asarray(shape.faces),
-        jnp.asarray(mesh.edges(shape.faces)),
+    pose = (
         _array(table.three("position", [0.0, 0.0, 0.0])),
         _array(table.three("rotation", [0.0, 0.0, 0.0])),
         _array(table.number("scale", 1.0, above=0.0)),
-        table.colour("colour", "#000000"),
-        table.colour("albedo", list(GREY)),
-        table.switch("mask") is not False,
-        table.switch("ordinary") is not False,
+    )
+    obj = dataclasses.replace(
+        _placed(shape, pose, table.colour("colour", "#000000")),
+        albedo=table.colour("albedo", list(GREY)),
+        in_mask=table.switch("mask") is not False,
+        in_ordinary=table.switch("ordinary") is not False,
     )
     table.finish()
     if not (obj.in_mask or obj.in_ordinary):
@@ -286,6 +350,18 @@ def _share(table: Table, key: str, default: float) -> float:
     if not 0 <= value <= 1:
         raise table.error(key, "a number from 0 to 1", repr(value))
     return value
+
+
+def _placed(shape: mesh.Mesh, pose: tuple[Array, Array, Array], colour: Colour) -> Object:
+    """A mesh as an object: ``pose`` has its position, rotation and scale."""
+    return Object(
+        _array(shape.vertices),
+        jnp.asarray(shape.faces),
+        jnp.asarray(mesh.edges(shape.faces, shape.single_sided)),
+        *pose,
+        colour,
+        single_sided=None if shape.single_sided is None else jnp.asarray(shape.single_sided),
+    )
 
 
 def _setting(table: Table, key: str) -> Any:
@@ -360,14 +436,23 @@ def _check_scene(path: Path, scene: Scene) -> tuple[str, ...]:
     return ()
 
 
-def _objects_around_camera(scene: Scene) -> list[int]:
-    """The numbers of the objects that the camera is inside of."""
-    around = []
-    position = np.asarray(scene.camera.position, np.float64)
+def _placement_notes(scene: Scene) -> tuple[str, ...]:
+    """Notes on the objects that the camera is inside of, or that it does not have in view."""
+    notes, camera = [], scene.camera
+    position = np.asarray(camera.position, np.float64)
+    axes = np.asarray(scene.camera_axes(), np.float64)
+    half = float(np.tan(np.deg2rad(float(camera.fov_y)) / 2))
+    aspect = scene.size[1] / scene.size[0]
+    frustum = Frustum(half * aspect, half, camera.near, camera.far)
     for i, obj in enumerate(scene.objects):
-        world = np.asarray(obj.world(), np.float64)
+        world, faces = np.asarray(obj.world(), np.float64), np.asarray(obj.faces)
+        single = None if obj.single_sided is None else np.asarray(obj.single_sided)
+        where = why_not_in_view(((world - position) @ axes.T)[faces], frustum, single)
         # The box first: the test of a mesh takes every face.
-        if (world.min(0) < position).all() and (position < world.max(0)).all():
-            shape = mesh.Mesh(world, np.asarray(obj.faces))
-            around += [i] if mesh.contains(shape, position) else []
-    return around
+        around = (world.min(0) < position).all() and (position < world.max(0)).all()
+        if around and mesh.contains(mesh.Mesh(world, faces), position):
+            where = None
+            notes.append(f"the camera is inside object[{i}]")
+        if where is not None:
+            notes.append(f"object[{i}] is not in view: it lies {where}")
+    return tuple(notes)

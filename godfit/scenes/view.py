@@ -12,20 +12,16 @@ import numpy as np
 from godfit.errors import InputError
 from godfit.io.image import Image
 from godfit.io.sources import pass_size
+from godfit.runtime.guest import as_guest
 from godfit.scenes.raster import Visible, on_screen, rasterise, visible
-from godfit.scenes.scene import Scene
-
-BLACK = (0.0, 0.0, 0.0)
-"""Colour of what occludes the sky, in a sky mask."""
-WHITE = (1.0, 1.0, 1.0)
-"""Colour of the open sky, in a sky mask."""
+from godfit.scenes.scene import BLACK, WHITE, Scene
 
 
 def in_single_precision(scene: Scene) -> Scene:
-    """The scene with its arrays in float32 and int32, the precision of a fit."""
+    """The scene with its numbers in float32 and int32, the precision of a fit."""
+    kinds = {"f": np.float32, "b": np.bool_}
     return jax.tree.map(
-        lambda z: jnp.asarray(np.asarray(z, np.float32 if z.dtype.kind == "f" else np.int32)),
-        scene,
+        lambda z: jnp.asarray(np.asarray(z, kinds.get(z.dtype.kind, np.int32))), scene
     )
 
 
@@ -34,10 +30,19 @@ def resized(scene: Scene, size: tuple[int, int]) -> Scene:
     return dataclasses.replace(scene, size=size)
 
 
+def framed(scene: Scene, target: Image) -> Scene:
+    """The scene in a picture of the target's size, where its file gives none. The vertical field of
+    view stays, as three.js has it where a canvas is not as wide as the camera's aspect ratio."""
+    if not scene.any_size:
+        return scene
+    return resized(scene, (target.values.shape[0], target.values.shape[1]))
+
+
 def scene_at_pass_size(scene: Scene, target: Image, pass_scale: float) -> Scene:
     """The scene at the size of the light pass: the smaller of the scene's own size and the
     target's, times ``pass_scale``. Raises InputError for a ``pass_scale`` outside (0, 1], and for a
     scene with another aspect than the target's."""
+    scene = framed(scene, target)
     (h, w), (height, width) = scene.size, target.values.shape[:2]
     if abs(w * height - h * width) > max(width, height):
         raise InputError(
@@ -74,7 +79,8 @@ def drawn_mask(scene: Scene, antialias: bool) -> np.ndarray:
     """The scene's mask as the 8-bit texture that a light pass reads: (h, w) or (h, w, 3) float32,
     multiples of 1/255. Raises InputError as ``raster.rasterise`` does."""
     try:
-        mask = np.asarray(_rasterised(scene, antialias))
+        with as_guest(any_precision=True):
+            mask = np.asarray(_rasterised(scene, antialias))
     except jax.errors.JaxRuntimeError as error:
         # An error in a callback comes back inside one of XLA's.
         raise InputError.within(error) or error from error

@@ -33,6 +33,7 @@ from godfit.models.disc_light import DiscLight
 from godfit.report.clip import ClipResult, Frame
 from godfit.report.verdict import spread
 from godfit.request import Request
+from godfit.runtime.guest import as_guest
 from godfit.runtime.program_cache import cached_jit
 from godfit.scattering.parameters import SCATTERING
 from godfit.studies.pooling import Pool, pooled
@@ -112,7 +113,7 @@ def fit_clip(
     notes: list[str] = []
     warnings: list[str] = []
     shown = np.zeros((0, 0, 3))
-    with jax.enable_x64(False):
+    with as_guest():
         held = given_and_held(shading, fix, start)[1]
         for source in frames:
             shot = source if isinstance(source, Shot) else Shot(source)

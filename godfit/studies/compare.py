@@ -14,7 +14,6 @@ import time
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-import jax
 import numpy as np
 
 from godfit.fitting import fit
@@ -25,8 +24,9 @@ from godfit.io.sources import Source, read_source
 from godfit.models.hoffman_preetham import HoffmanPreetham
 from godfit.models.mitchell import Mitchell
 from godfit.report.compare import Comparison, Row
+from godfit.runtime.guest import as_guest
 from godfit.scenes.scene import Scene, read_scene
-from godfit.scenes.view import in_single_precision, light_on_screen
+from godfit.scenes.view import framed, in_single_precision, light_on_screen
 
 if TYPE_CHECKING:
     pass
@@ -58,8 +58,8 @@ def compare(
     if light is not None:
         place = {"light_x": light[0], "light_y": light[1]}
     elif scene is not None:
-        with jax.enable_x64(False):
-            place = light_on_screen(in_single_precision(scene))
+        with as_guest():
+            place = light_on_screen(in_single_precision(framed(scene, picture)))
     kinds: list[tuple[str, dict[str, Any]]] = [
         (Mitchell.name, {"shader": shader, "lights": lights}),
         (HoffmanPreetham.name, {"fov": fov, "distance": distance}),

@@ -25,6 +25,7 @@ from godfit.inference.repeated_values import relieved
 from godfit.inference.settle import Settled
 from godfit.inference.solver import tangent_at
 from godfit.report.result import FitResult
+from godfit.runtime.guest import as_guest
 
 POSTERIOR_DRAWS = 4000
 """Draws of the posterior: an end of the middle 95% then has 100 of them beyond it."""
@@ -86,7 +87,7 @@ def posterior(
         raise InputError(LIKELIHOOD_INCOMPLETE.format("posterior"))
     if not result.converged:
         raise InputError(f"posterior: expected a fit that converged, got: {result.message}")
-    with jax.enable_x64(False), jax.numpy_rank_promotion("allow"):
+    with as_guest(), jax.numpy_rank_promotion("allow"):
         return _posterior(result, draws, warm_up, seed)
 
 

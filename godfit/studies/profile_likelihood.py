@@ -32,6 +32,7 @@ from godfit.inference.settle import Settled, aim, settle
 from godfit.inference.solver import Tangent
 from godfit.models.base import AbstractModel, Vector
 from godfit.report.result import FitResult
+from godfit.runtime.guest import as_guest
 
 ROOT_CHI_SQUARED_95 = 1.959964
 """Root of 3.84, the 95% quantile of chi-squared with one degree of freedom."""
@@ -52,7 +53,7 @@ def profile(result: FitResult, name: str) -> FitResult:
 
     Raises InputError for a parameter that is not fitted, or not determined by the picture.
     """
-    with jax.enable_x64(False):
+    with as_guest():
         interval = _interval(result, name)
     params = result.params | {name: dataclasses.replace(result.params[name], interval=interval)}
     return dataclasses.replace(result, params=params)

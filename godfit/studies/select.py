@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -28,11 +27,12 @@ from godfit.io.sources import Source, read_source
 from godfit.models.mitchell import Mitchell
 from godfit.report.result import FitResult
 from godfit.report.select import Row, Rung, Selection
+from godfit.runtime.guest import as_guest
 from godfit.runtime.parallel import parallel_map
 from godfit.scattering.parameters import MAX_DENSITY
 from godfit.scattering.taps import CONVENTIONS
 from godfit.scenes.scene import Scene, read_scene
-from godfit.scenes.view import in_single_precision, light_on_screen
+from godfit.scenes.view import framed, in_single_precision, light_on_screen
 from godfit.studies.ladder import LADDER_VALUES, Ladder, like_noise
 
 HELD_OUT_BLOCK = 16
@@ -64,14 +64,14 @@ def select(
     began, say = time.perf_counter(), progress or (lambda text: None)
     if options.get("lights", 1) != 1:
         raise InputError("select: expected lights 1, got more; it adds a second light itself")
-    with jax.enable_x64(False):
+    with as_guest():
         if scene is not None and not isinstance(scene, Scene):
             scene = read_scene(scene)
+        source = read_source(target, options.get("transfer", "none"))
         place = (0.5, 0.5) if light is None else light
         if light is None and scene is not None:
-            on_screen = light_on_screen(in_single_precision(scene))
+            on_screen = light_on_screen(in_single_precision(framed(scene, source)))
             place = on_screen["light_x"], on_screen["light_y"]
-        source = read_source(target, options.get("transfer", "none"))
         geometry = scene is not None or (fov is not None and distance is not None)
         channels = 3 if geometry else None
         base = fit(

@@ -433,9 +433,25 @@ def test_a_full_disk_leaves_no_half_file(disc, capsys, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    assert "No space left" in fails(capsys, 1, "fit", disc, "-q")
+    assert main(["fit", str(disc), "-q"]) == 1
+    shown = capsys.readouterr()
+    assert "No space left" in shown.err
+    # The numbers of a fit are not lost with its file.
+    assert "density" in shown.out
     assert leftovers(folder) == ["fit.json"]
     assert (folder / "fit.json").read_text() == "{}"
+
+
+def test_a_fit_is_not_lost_with_its_figure(disc, capsys, monkeypatch):
+    def fails(*_):
+        raise RuntimeError("latex could not be found")
+
+    monkeypatch.setattr("godfit.report.result.plot", fails)
+    assert main(["fit", str(disc)]) == 0
+    shown = capsys.readouterr()
+    assert "warning: fit.png was not written: RuntimeError: latex could not be found" in shown.err
+    assert shown.out.rstrip().endswith("fit.json, render.png")
+    assert leftovers(disc.with_suffix(".godfit")) == ["fit.json", "render.png"]
 
 
 def test_interrupt_ends_with_130_and_no_file(disc):

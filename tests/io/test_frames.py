@@ -6,7 +6,7 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from godfit.commands.clip import common_name
+from godfit.commands.study import common_name
 from godfit.errors import InputError
 from godfit.io.frames import frames, is_video
 from godfit.io.image import write_image
