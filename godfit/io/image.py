@@ -27,6 +27,8 @@ from godfit.runtime.memory import check_memory
 
 LEVELS = 255.0
 """8-bit levels from black to white; residuals and noise are given in them."""
+PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
+"""Channels of the colour types of PNG; a palette is three."""
 TRANSFERS = ("none", "srgb")
 """Transfer functions by which files may be encoded."""
 IMAGE_FORMATS = "PNG, JPEG, TIFF, EXR or .npy"
@@ -280,8 +282,8 @@ def _read_png(data: bytes, notes: list[str]) -> np.ndarray:
     if b"acTL" in kinds:
         raise InputError("expected a still image, got an animation; save one frame")
     width, height = (int.from_bytes(data[i : i + 4], "big") for i in (16, 20))
-    check_pixels((height, width))
     depth, colour = data[24], data[25]
+    check_pixels((height, width, PNG_CHANNELS.get(colour, 1)))
     if colour == 3:
         notes.append("A palette image: if its colours were reduced, rounding intervals are wrong.")
     elif depth < 8:
