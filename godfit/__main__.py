@@ -9,7 +9,12 @@ if __name__ == "__main__" and not sys.flags.safe_path:
     # the name of a module. An empty entry of PYTHONPATH means that folder too.
     import os
 
-    sys.path[:] = [place for place in sys.path[1:] if os.path.abspath(place) != os.path.abspath("")]
+    try:
+        here = os.getcwd()
+    except OSError:
+        # The folder was removed.
+        here = ""
+    sys.path[:] = [place for place in sys.path[1:] if place not in ("", os.curdir, here)]
 
 import os
 

@@ -15,6 +15,8 @@ from godfit.io import image
 from godfit.io.image import MAX_PIXELS, limit_pixels, read_image
 from godfit.io.sources import read_source
 from godfit.runtime import memory
+from godfit.runtime.checked_files import write_checked
+from godfit.runtime.files import atomic_write, forget_written, remove_temporaries, written_files
 from tests.support import hostile_files
 
 SEEDS = range(1000, 1200)
@@ -159,3 +161,26 @@ def test_an_interrupt_of_the_start(ignored, tmp_path):
     assert status == expected[0]
     assert len(said) == 1
     assert expected[1] in said[0]
+
+
+def test_what_was_written_is_said(tmp_path, monkeypatch):
+    forget_written()
+    assert written_files() == "nothing was written"
+    write_checked(tmp_path / "program", b"of the cache")
+    assert written_files() == "nothing was written"
+    atomic_write(tmp_path / "fit.json", b"{}")
+    assert written_files() == f"written: {tmp_path / 'fit.json'}"
+    # An interrupt while another thread writes: its temporary file goes, and is not named.
+    cut, rename = [], os.replace
+
+    def interrupted(temporary, name):
+        remove_temporaries()
+        cut.append(os.path.exists(temporary))
+        rename(temporary, name)
+
+    monkeypatch.setattr(os, "replace", interrupted)
+    with pytest.raises(FileNotFoundError):
+        atomic_write(tmp_path / "fit.png", b"")
+    assert cut == [False]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["fit.json", "program"]
+    assert "fit.png" not in written_files()

@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 from godfit.errors import shown
 from godfit.flatland.canvas import Canvas
 from godfit.io.toml_table import Table
+from godfit.runtime.memory import check_memory
 from godfit.scenes.scene import MAX_PICTURE_SIDE
 
 SHAPE_NUMBERS: dict[str, dict[str, int]] = {
@@ -32,6 +33,8 @@ SHAPE_NUMBERS: dict[str, dict[str, int]] = {
 }
 """The numbers of every kind of shape, by name, and how many of each; 0 for any number of points."""
 
+DRAWING_BYTES = 64
+"""Memory that a canvas takes a pixel, in bytes: four channels in float32, four times over."""
 EDGE_SOFTNESS = 1.0
 """Pixels, the default width of an edge: that of an antialiased one."""
 
@@ -147,6 +150,7 @@ def read_drawing(path: str | os.PathLike[str]) -> Drawing:
     shapes = [_shape(Table(path, f"shape[{i}]", t)) for i, t in enumerate(root.tables("shape"))]
     root.finish()
     size = image.whole("height", 1, MAX_PICTURE_SIDE), image.whole("width", 1, MAX_PICTURE_SIDE)
+    check_memory(DRAWING_BYTES * size[0] * size[1], f"'{path}': {size[1]}x{size[0]} pixels")
     softness = image.number("softness", EDGE_SOFTNESS, above=0.0)
     settings = [(k, sky.number(k)) for k in ("sun_angle", "sun_width") if k in sky.data]
     settings += [(k, tuple(_radiance(sky, k))) for k in ("sun", "sky") if k in sky.data]

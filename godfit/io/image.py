@@ -30,6 +30,8 @@ from godfit.runtime.memory import check_memory
 
 LEVELS = 255.0
 """8-bit levels from black to white; residuals and noise are given in them."""
+PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
+"""Channels of the colour types of PNG; a palette is three."""
 TRANSFERS = ("none", "srgb")
 """Transfer functions by which files may be encoded."""
 IMAGE_FORMATS = "PNG, JPEG, TIFF, EXR, WebP, AVIF, HDR, TGA, BMP, PPM or .npy"
@@ -401,8 +403,8 @@ def _read_png(data: bytes, notes: list[str], check: CheckSize) -> Samples:
     if b"acTL" in kinds:
         raise InputError("expected a still image, got an animation; save one frame")
     width, height = (int.from_bytes(data[i : i + 4], "big") for i in (16, 20))
-    check((height, width))
     depth, colour = data[24], data[25]
+    check((height, width, PNG_CHANNELS.get(colour, 1)))
     if colour == 3:
         notes.append("A palette image: if its colours were reduced, rounding intervals are wrong.")
     elif depth < 8:

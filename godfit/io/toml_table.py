@@ -51,7 +51,7 @@ class Table:
         """The whole file. Raises InputError where it is missing, which names ``what`` it should
         be, and where it is not TOML."""
         try:
-            if not os.path.exists(path):
+            if not os.path.exists(path) and "\0" not in str(path):
                 raise InputError(f"'{path}': expected {what}, got no such file")
             data = tomllib.loads(read_regular(path, "TOML", MAX_TEXT_BYTES).decode())
         except InputError:
