@@ -92,12 +92,6 @@ class Request:
             # Names alone are held where the search starts.
             names = [self.fix] if isinstance(self.fix, str) else list(self.fix)
             return dataclasses.replace(self, fix=dict.fromkeys(names)).checked()
-        for role in ("mask", "background"):
-            if is_same(self.target, getattr(self, role)):
-                raise InputError(
-                    f"{role}: expected another image than the target, got the same one; give what "
-                    f"the light pass reads"
-                )
         if self.kind == Flatland.name:
             self._check_plane()
         elif self.canvas is not None or (self.rays is not None and not self.bare):
@@ -110,6 +104,12 @@ class Request:
             self._check_bare()
         if self.bright_pass and not self.bare:
             raise InputError("bright pass: expected no mask, scene or canvas with it, got one")
+        for role in ("mask", "background"):
+            if is_same(self.target, getattr(self, role)):
+                raise InputError(
+                    f"{role}: expected another image than the target, got the same one; give what "
+                    f"the light pass reads"
+                )
         if self.scene is None:
             return self
         scene = self.scene if isinstance(self.scene, Scene) else read_scene(self.scene)

@@ -56,10 +56,12 @@ def read_source(
 def _checked_size(image: Image) -> Image:
     """The image; raises InputError where sums of its squares are not finite in float32."""
     values = image.values
-    if values.size and max(values.max(), -values.min()) > MAX_SAMPLE:
+    largest = max(values.max(), -values.min()) if values.size else 0.0
+    # What is not finite is reported by whoever needs it to be.
+    if np.isfinite(largest) and largest > MAX_SAMPLE:
         raise InputError(
             f"{image.path or 'image'}: expected values of at most {MAX_SAMPLE:g}, got "
-            f"{abs(values).max():.3g}; scale them first"
+            f"{largest:.3g}; scale them first"
         )
     return image
 

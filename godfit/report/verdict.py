@@ -19,6 +19,7 @@ from godfit.inference.settle import Settled
 from godfit.inference.solver import tangent_at
 from godfit.io.image import LEVELS
 from godfit.report.result import FitResult
+from godfit.scattering.parameters import is_light
 
 UNDETERMINED_PLACE = 0.1
 """Standard error of the light's position, as a share of the picture, from which it is
@@ -183,7 +184,7 @@ def same_place(estimated: Estimates) -> tuple[str, str] | None:
     As one light in two halves their errors are large against that of a single one, so that the
     positions must also agree within SAME_PLACE_SHARE of the picture."""
     params = estimated.params
-    stems = [name.removesuffix("_x") for name in params if name.endswith("_x")]
+    stems = [name.removesuffix("_x") for name in params if is_light(name) and name.endswith("_x")]
     for one, other in itertools.combinations(stems, 2):
         pairs = [(params[f"{one}_{c}"], params[f"{other}_{c}"]) for c in "xy"]
         apart = [abs(a.value - b.value) for a, b in pairs]

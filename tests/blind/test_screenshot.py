@@ -502,7 +502,7 @@ def test_a_black_picture_has_no_rays():
 
 
 @pytest.mark.parametrize(
-    ("scale", "smaller"), [(1.0, 1), (0.5, 1), (0.5, 2)], ids=["whole", "half", "half, from a copy"]
+    ("scale", "smaller"), [(0.5, 1), (0.5, 2)], ids=["half", "half, from a copy"]
 )
 def test_the_size_of_the_light_pass_is_found(scale, smaller, monkeypatch):
     """And, where it is smaller, its shadows: from a mask whose object is a pixel too small; also

@@ -361,7 +361,8 @@ class TestFitCommand:
 
     def test_a_mask_in_place_of_the_canvas_beside_the_target(self, files, capsys):
         (files / "t.toml").write_text('canvas = "c.png"\n[scattering]\nmodel = "flatland"\n')
-        assert main(["fit", str(files / "t.png"), "--mask", str(files / "t.png"), "-q",
+        write_image(files / "m.png", 1 - drawing()[..., 3] / 255)
+        assert main(["fit", str(files / "t.png"), "--mask", str(files / "m.png"), "-q",
                      "--shader", "mitchell", "--samples", "10", "--json"]) in (0, 3)  # fmt: skip
         assert json.loads(capsys.readouterr().out)["model"] == "mitchell"
 
