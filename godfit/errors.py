@@ -1,4 +1,4 @@
-"""InputError, the one exception whose message is printed to the user.
+"""What is said to the user: InputError, whose message is printed, and the remarks of a result.
 
 This file imports nothing: see ``godfit/__init__.py``.
 """
@@ -39,6 +39,24 @@ def shown(value: object) -> str:
         # A number of thousands of digits, or brackets nested as deeply.
         return f"a {type(value).__name__} too long to show"
     return text if len(text) <= LONGEST_SHOWN else text[:LONGEST_SHOWN] + "..."
+
+
+class Remark(str):
+    """A note or a warning for the user: a sentence, with a ``code`` by which a program tells it
+    from others, in whatever words it comes."""
+
+    code: str
+
+    def __new__(cls, text: str, code: str) -> "Remark":
+        remark = super().__new__(cls, text)
+        remark.code = code
+        return remark
+
+    @property
+    def option(self) -> "str | None":
+        """The first option of the command line that the sentence names."""
+        words = (word.strip("(),.;:`'") for word in self.split())
+        return next((word.split("=")[0] for word in words if word.startswith("--")), None)
 
 
 class InputError(ValueError):

@@ -15,7 +15,7 @@ import numpy as np
 import godfit.flatland.starts
 import godfit.search  # noqa: F401
 from godfit.blind import photograph, unaided
-from godfit.errors import InputError
+from godfit.errors import InputError, Remark
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.fit_setup import prepare_fit
 from godfit.inference.fitted import Found
@@ -227,7 +227,10 @@ def _pose(request: Request) -> Posed:
         assert scene is None or isinstance(scene, Scene)
         if scene is not None:
             scene = scene_at_pass_size(scene, images["target"], pass_scale)
-            notes, pass_scale = tuple(f"scene: {note}" for note in scene.notes), 1.0
+            notes, pass_scale = (
+                tuple(Remark(f"scene: {note}", "scene") for note in scene.notes),
+                1.0,
+            )
             start = light_on_screen(scene) | start
         geometry = scene, request.fov, request.distance
         model, assumed = template(request.kind, settings, request.lights, geometry)
@@ -308,6 +311,8 @@ def _concluded(
     found: Found, notes: tuple[str, ...], images: dict[str, Image], clock: Clock
 ) -> FitResult:
     """The result, with the notes of the images' files."""
-    notes += tuple(f"{role}: {note}" for role, im in images.items() for note in im.notes)
+    notes += tuple(
+        Remark(f"{role}: {note}", "file") for role, im in images.items() for note in im.notes
+    )
     files = {role: {"path": im.path, "sha256": im.sha256} for role, im in images.items()}
     return verdict(found, notes, files, clock.read())

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 import godfit
+from godfit.errors import Remark
 from godfit.inference.information import undetermined
 from godfit.io.image import Image
+from godfit.report.record import remarks
 from godfit.search import multigrid
 from godfit.search.screening import _in_order, light_places
 from tests.support import random_targets
@@ -428,3 +430,18 @@ def test_two_lights_in_a_picture_of_one_are_said_to_be_one():
     result = fit(target, mask, lights=2, inquire=False)
     assert not result.converged
     assert "light and light2 are at the same place" in result.message
+
+
+def test_notes_and_warnings_have_a_code_and_an_option():
+    """A program tells them apart without the words, and the words are sentences all the same."""
+    target, mask = picture(3, exposure=0.3)
+    result = fit(np.minimum(target, 200), mask, inquire=False)
+    record = result.record()
+    assert record["schema"] == 2
+    (clipped,) = (note for note in record["notes"] if note["code"] == "clipped")
+    assert clipped["text"] in result.notes
+    assert clipped["option"] is None
+    warning = Remark("the target is wrong; try --transfer srgb, or --ignore=0,0,1,1", "transfer")
+    (entry,) = remarks([warning], "warning")
+    assert entry == {"code": "transfer", "text": str(warning), "option": "--transfer"}
+    assert remarks(["plain"], "note") == [{"code": "note", "text": "plain", "option": None}]

@@ -277,13 +277,16 @@ class SavedResult(Result, Protocol):
 
 
 def print_result(result: Result, notes: Iterable[str], run: Run, files: str = "") -> None:
-    """Print warnings, and the record, or the summary with the ``files`` that were written."""
+    """Print warnings, and the record, or the summary with the ``files`` that were written. A
+    sentence that the summary holds is printed there alone."""
+    summary = "" if run.as_json else result.summary()
     if not run.quiet:
         for note in dict.fromkeys(notes):
-            warn(note)
+            if note not in summary:
+                warn(note)
     if run.as_json:
         click.echo(json.dumps(result.record(command_line()), indent=1, ensure_ascii=False))
     else:
-        click.echo(result.summary())
+        click.echo(summary)
         if files:
             click.echo(f"\n  {files}")

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy import optimize
 
+from godfit.errors import Remark
 from godfit.io.arrays import as_light
 from godfit.models.base import FAINTEST, AbstractModel, Vector
 from godfit.models.coordinates import DENSITY, EXPOSURE, GAIN, KAPPA, SCATTERING_COUNT
@@ -155,7 +156,7 @@ class Mitchell(AbstractModel):
         end = self.convention.density_slider
         if "density" not in free or end is None or abs(float(self.density) - end) > AT_SLIDER_END:
             return ()
-        return (f"density is {end:g}, where the slider of {self.shader} ends",)
+        return (Remark(f"density is {end:g}, where the slider of {self.shader} ends", "slider"),)
 
     @property
     def taps(self) -> tuple[Taps, ...]:

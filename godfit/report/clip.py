@@ -12,7 +12,7 @@ import numpy as np
 from godfit.inference.estimates import Estimate
 from godfit.models.base import AbstractModel
 from godfit.report.files import write_result
-from godfit.report.record import SCHEMA, estimate, versions
+from godfit.report.record import SCHEMA, estimate, remarks, versions
 from godfit.report.style import own_style
 from godfit.report.text import given, number, parameter_table
 
@@ -115,8 +115,8 @@ def _record(result: ClipResult, command: str) -> dict[str, Any]:
             for f in result.frames
         ],
         "undetermined": list(result.undetermined),
-        "warnings": list(result.warnings),
-        "notes": list(result.notes),
+        "warnings": remarks(result.warnings, "warning"),
+        "notes": remarks(result.notes, "note"),
         "timing_s": {k: round(v, 4) for k, v in result.timing_s.items()},
         "versions": versions(),
         "command": command,

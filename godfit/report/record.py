@@ -7,12 +7,13 @@ import json
 import math
 import os
 import platform
+from collections.abc import Iterable
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from godfit.errors import InputError, shown
+from godfit.errors import InputError, Remark, shown
 from godfit.io.filters import shrink
 from godfit.io.image import read_image
 from godfit.io.regular_files import MAX_TEXT_BYTES, read_regular
@@ -25,8 +26,9 @@ if TYPE_CHECKING:
     from godfit.inference.estimates import Estimate
     from godfit.report.result import FitResult
 
-SCHEMA = 1
-"""Version of fit.json's layout: it grows with every change that breaks readers."""
+SCHEMA = 2
+"""Version of fit.json's layout: it grows with every change that breaks readers. Since 2, warnings
+and notes are objects; both layouts are read."""
 MODEL_SETTINGS = (
     "model", "shader", "samples", "rays", "phase", "fov", "distance", "pass_scale",
 )  # fmt: skip
@@ -82,8 +84,8 @@ def fit_record(result: FitResult, command: str = "") -> dict[str, Any]:
         "combined": {name: estimate(e) for name, e in result.combined.items()},
         "correlations": {pair: round(value, 6) for pair, value in result.correlations.items()},
         "undetermined": list(result.undetermined),
-        "warnings": list(result.warnings),
-        "notes": list(result.notes),
+        "warnings": remarks(result.warnings, "warning"),
+        "notes": remarks(result.notes, "note"),
         "noise_levels": _finite(result.noise_levels),
         "rmse_levels": _finite(result.rmse_levels),
         "psnr_db": _finite(result.psnr_db),
@@ -103,6 +105,12 @@ def fit_record(result: FitResult, command: str = "") -> dict[str, Any]:
         "versions": versions(),
         "command": command,
     }
+
+
+def remarks(sentences: Iterable[str], code: str) -> list[dict[str, str | None]]:
+    """Notes or warnings as fit.json has them; ``code`` is that of a sentence without one."""
+    said = [s if isinstance(s, Remark) else Remark(s, code) for s in sentences]
+    return [{"code": s.code, "text": str(s), "option": s.option} for s in said]
 
 
 def estimate(e: Estimate) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from godfit.errors import Remark
 from godfit.inference import diagnostics, sandwich
 from godfit.inference.estimates import Estimate, Estimates, Solution, estimates
 from godfit.inference.evaluate import model_at
@@ -111,7 +112,11 @@ def verdict(
     if picture.foreign and not objection:
         # A model so rough never explains all of a picture: the user is warned, errors are widened.
         remarks += (
-            () if trusted else (STRUCTURED.format(settled.sigma, residual_misfit.correlation),)
+            ()
+            if trusted
+            else (
+                Remark(STRUCTURED.format(settled.sigma, residual_misfit.correlation), "structured"),
+            )
         )
         trusted = True
     trusted = trusted and not objection
@@ -129,7 +134,7 @@ def verdict(
         covariance=estimated.covariance,
         correlations=_correlations(problem.names, estimated.covariance),
         undetermined=estimated.undetermined,
-        warnings=(*(s.words for s in uncertainty.suspects), *remarks),
+        warnings=(*(Remark(s.words, s.name) for s in uncertainty.suspects), *remarks),
         notes=(*notes, *_clipped_ends(picture), *estimated.model.notes(fitted)),
         noise_levels=settled.sigma,
         rmse_levels=rmse,
@@ -203,7 +208,8 @@ def _clipped_ends(picture: Picture) -> tuple[str, ...]:
         if level is not None:
             count = int((shown == np.float32(level)).any(-1).sum())
             value = f"{level:g}" if picture.half > 0 else f"{level / LEVELS:g}"
-            notes.append(f"{count:,} pixels share the {name} value, {value}: taken as clipped")
+            words = f"{count:,} pixels share the {name} value, {value}: taken as clipped"
+            notes.append(Remark(words, "clipped"))
     return tuple(notes)
 
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from godfit.errors import Remark
 from godfit.inference import indirect_inference
 from godfit.inference.fitted import Found
 from godfit.inference.information import evidence, undetermined
@@ -221,7 +222,9 @@ def _of_better_size(own: Located, given: dict[str, float], effort: Effort) -> Lo
     h, w = rival.picture.mask.shape[:2]
     scale = h / problem.picture.mask.shape[0]
     words = note.format(scale=scale, w=w, h=h, own=here.sigma, other=there.sigma)
-    return chosen._replace(found=chosen.found.replaced(notes=(words,) if note else ()))
+    return chosen._replace(
+        found=chosen.found.replaced(notes=(Remark(words, "pass-scale"),) if note else ())
+    )
 
 
 def _on_few_pixels(problem: Problem, start: np.ndarray) -> Settled:
