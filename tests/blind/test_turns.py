@@ -326,9 +326,7 @@ def test_a_hard_edge_goes_on_from_where_a_soft_one_led(monkeypatch, edge, soft_l
 
 
 @pytest.mark.usefixtures("single_precision")
-@pytest.mark.parametrize(
-    "known", [[DENSITY, RADIUS], [GAIN]], ids=["density and radius", "gain"]
-)
+@pytest.mark.parametrize("known", [[DENSITY, RADIUS], [GAIN]], ids=["density and radius", "gain"])
 def test_what_lies_beside_an_answer_is_found(known, monkeypatch):
     """From a light that is two texels off, with shadows that suit it, and what is known stays.
     Without clear rays and glare, which would tell at once, nor walks, which lead there too."""
