@@ -42,16 +42,6 @@ def test_light_and_shader_are_read_off_a_photograph(photograph):
     assert np.mean((found > 0.5) != (photograph.mask > 0.5)) < 0.02
 
 
-def test_without_rays_a_photograph_does_not_converge():
-    """A bright sky over a dark ground with some texture."""
-    (h, w), rng = (68, 120), np.random.default_rng(0)
-    image = np.full((h, w, 3), 200, np.uint8)
-    image[h // 2 :] = 40 + rng.integers(0, 6, (h - h // 2, w, 1))
-    result = fitted(image, 20)
-    assert not result.converged
-    assert "no rays were found" in result.message
-
-
 def test_a_picture_without_dark_parts_is_refused():
     with pytest.raises(InputError, match="bright pass: expected at least 500 pixels"):
         fitted(np.full((96, 128, 3), 200, np.uint8), 30)

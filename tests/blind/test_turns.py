@@ -411,36 +411,6 @@ def test_what_other_frames_tell_is_held_until_the_rest_suits_it(monkeypatch):
 
 
 @pytest.mark.usefixtures("single_precision")
-def test_what_rounding_alone_is_left_of_is_looked_around_once(monkeypatch):
-    """And no ray is asked that an object stands before."""
-    picture, truth, turns = lit(1e-5, bar=False)
-    turns, read = begun(turns, picture, truth)
-    # How the rim is cut is read in a few turns.
-    for _ in range(2):
-        read = elsewhere.solved(turns, read).read
-    assert elsewhere.solved(turns, read).explained
-    z = truth.copy()
-    z[LIGHT_X] += 2 / SIZE[1]
-    held = dataclasses.replace(turns, free=turns.free & (np.arange(len(z)) != LIGHT_X))
-    assert not elsewhere.solved(held, begun(held, picture, z)[1]).explained
-    asked, times, look = [], [], beside.looked_around
-    monkeypatch.setattr(elsewhere, "seen_clearly", lambda *a: asked.append(a[-1]) or [])
-    monkeypatch.setattr(around, "looked_around", lambda place: times.append(1) or look(place))
-    _, there, _ = around.best_around(turns, [[read]], around=True)
-    assert np.abs(there.point.coordinates - truth)[LIGHT_X] < 0.1 / SIZE[1]
-    assert len(times) == 1
-    assert asked == [False]
-    # Next to texture rays would not tell.
-    asked.clear()
-    around.best_around(dataclasses.replace(turns, texture=2.0), [[read]], around=True)
-    assert not asked
-    times.clear()
-    around.best_around(turns, [[read]], around=False)
-    assert not asked
-    assert not times
-
-
-@pytest.mark.usefixtures("single_precision")
 @pytest.mark.parametrize("terms", [1, 3], ids=["constant", "varying"])
 def test_what_is_explained_may_leave_a_few_values(terms):
     """Nearly all of what is seen is off by what rounding leaves, twice where the background was
