@@ -53,7 +53,7 @@ class Table:
         try:
             if not os.path.exists(path) and "\0" not in str(path):
                 raise InputError(f"'{path}': expected {what}, got no such file")
-            data = tomllib.loads(read_regular(path, "TOML", MAX_TEXT_BYTES).decode())
+            data = tomllib.loads(read_regular(path, "TOML", MAX_TEXT_BYTES).decode("utf-8-sig"))
         except InputError:
             raise
         except RecursionError:
