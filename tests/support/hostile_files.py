@@ -116,7 +116,32 @@ def valid_files() -> dict[str, bytes]:
         "a.gltf": tree,
         "a.mp4": _video(),
         **{name: bytes(data) for name, data in meshes.items()},
+        **_more_images(colour),
     }
+
+
+def _more_images(words: np.ndarray) -> dict[str, bytes]:
+    """The picture ``words`` (h, w, 3), 16 bits, in the formats that take one call of a library."""
+    import imagecodecs
+    import netpbmfile
+    from PIL import Image
+
+    levels = (words >> 8).astype(np.uint8)
+    found: dict[str, bytes] = {
+        "a.qoi": bytes(imagecodecs.qoi_encode(levels)),
+        "a.jp2": bytes(imagecodecs.jpeg2k_encode(levels, level=0)),
+        "a.hdr": b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y %d +X %d\n" % (SIDE, SIDE)
+        + np.dstack([levels, np.full((SIDE, SIDE), 129, np.uint8)]).tobytes(),
+    }
+    netpbm = io.BytesIO()
+    netpbmfile.imwrite(netpbm, words)
+    found["a.ppm"] = netpbm.getvalue()
+    for name, kind in (("bmp", "BMP"), ("tga", "TGA"), ("gif", "GIF"), ("webp", "WEBP"),
+                       ("avif", "AVIF")):  # fmt: skip
+        stream = io.BytesIO()
+        Image.fromarray(levels).save(stream, kind)
+        found[f"a.{name}"] = stream.getvalue()
+    return found
 
 
 def _video() -> bytes:
