@@ -7,6 +7,7 @@ they can have, None for floats. Each uses the library that keeps all of a format
 
 from __future__ import annotations
 
+import importlib
 import io
 import re
 from collections.abc import Callable
@@ -144,7 +145,8 @@ def _read_avif(data: bytes, notes: list[str], check: CheckSize) -> Samples:
 
 def _read_heic(data: bytes, notes: list[str], check: CheckSize) -> Samples:
     try:
-        import pillow_heif
+        # By name: few users have it, and types are checked without it.
+        pillow_heif: Any = importlib.import_module("pillow_heif")
     except ImportError:
         raise InputError(
             "expected a format that is read without pillow-heif, got HEIC; pip install "
