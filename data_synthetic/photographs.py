@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
+from godfit.models.bright_pass import brightness
 from scipy import ndimage
 
-from godfit.models.bright_pass import brightness
 from godfit.models.mitchell import Mitchell
 
 PHOTOGRAPH_SHADER = "dawntime"

@@ -14,7 +14,7 @@ import numpy as np
 # Importing these registers the searches of each model.
 import godfit.flatland.starts
 import godfit.search  # noqa: F401
-from godfit.blind import photograph, unaided
+from godfit.blind import bare_fit
 from godfit.errors import InputError, Remark
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.fit_setup import prepare_fit
@@ -78,8 +78,8 @@ def fit(
     - `target`: a file, an `Image`, or an array (h, w) or (h, w, 3), row 0 at the top; arrays of
       integers are bytes (or 16-bit words), of floats linear values without rounding.
     - `mask`: the occlusion mask the scattering pass reads; linear, same aspect. A smaller one means
-      a light pass at lower resolution. With neither mask nor scene nor canvas, the light is a disc
-      on a veil behind occluders that are estimated from the target, see `godfit.blind`.
+      a light pass at lower resolution. With neither mask nor scene nor canvas, the mask is
+      estimated from the target, see `godfit.blind`.
     - `scene`: in place of a mask, the scene (or its file) that the mask is drawn from. Its light is
       where the search starts. It may also have shader, samples and other settings.
     - `canvas`: in place of a mask, what is drawn in the plane: a `godfit.flatland.Canvas`, an image
@@ -94,7 +94,7 @@ def fit(
     - `occluder`: without a mask, (h, w), further objects in front of the light, beside those that
       are estimated from the target: wherever it is not black.
     - `bright_pass`: without a mask, whether the light is all that is bright in the picture, as in a
-      photograph, see `godfit.blind.photograph`.
+      photograph, see `godfit.blind.hypotheses`.
     - `shader`, `samples`: a name in `godfit.scattering.taps.CONVENTIONS`, by default the scene's or
       `"mitchell"`; its own default number of samples.
     - `rays`: of the light in the plane, for each pixel, by default 64.
@@ -178,18 +178,16 @@ def _fit_bare(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     settings = request.settings
     images = {"target": _target_of(request)}
     shading = mitchell_template(settings.get("shader", "mitchell"), settings.get("samples"), 1)
-    options = (
-        settings.get("pass_scale"), request.held_at, request.start or {}, request.seed,
-        request.report,
-    )  # fmt: skip
-    if request.bright_pass:
-        found = photograph.found_in(images["target"], shading, request.valid, *options)
-        return found, (), images
     blocked = None
     if request.occluder is not None:
         images["occluder"] = read_source(request.occluder, "none", "occluder")
         blocked = occluder_mask(images["occluder"], images["target"])
-    found, notes = unaided.found_in(images["target"], shading, request.valid, blocked, *options)
+    asked = bare_fit.Settings(
+        valid=request.valid, occluder=blocked, bright_pass=request.bright_pass,
+        lights=request.lights, pass_scale=settings.get("pass_scale"), fix=request.held_at,
+        start=request.start or {}, seed=request.seed,
+    )  # fmt: skip
+    found, notes = bare_fit.found_in(images["target"], shading, asked, request.report)
     return found, notes, images
 
 

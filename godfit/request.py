@@ -121,8 +121,6 @@ class Request:
             raise InputError(
                 f"mask: expected --mask or --scene with the model {self.kind}, got neither"
             )
-        if self.lights != 1:
-            raise InputError(f"lights: expected 1 without a mask, got {self.lights}; give --mask")
         if self.background is not None:
             raise InputError(
                 "background: expected none without a mask, got one; give --mask as well"

@@ -59,10 +59,8 @@ COMPILED = (
     "godfit.scenes.contours",
     "godfit.scenes.intersections",
     "godfit.scenes.shadow_maps",
-    "godfit.blind.lasso",
-    "godfit.blind.consensus",
     "godfit.scattering.mask_jacobian",
-    "godfit.blind.disc_sums",
+    "godfit.blind.misfit_kernel",
     "godfit.models.disc_box",
     "godfit.models.disc_kernel",
     "godfit.flatland.kernel_records",
@@ -93,12 +91,11 @@ importlib.import_module("godfit.commands.progress").QUIET_SECONDS = threading.TI
 # one of these comes last, and half of the cores wait for it. The first two compile different
 # functions: what both need at once is compiled twice.
 LONG = (
-    "blind/test_screenshot", "flatland/test_fitting", "blind/test_turns", "test_synthetic_fits",
-    "blind/test_photograph", "blind/test_brightness", "models/test_staged",
+    "flatland/test_fitting", "test_synthetic_fits", "models/test_staged",
     "studies/test_profile_likelihood", "test_data_synthetic", "studies/test_compare",
     "runtime/test_cache", "commands/test_command_line", "inference/test_indirect_inference",
     "flatland/test_gradients", "models/test_disc_kernel", "flatland/test_published",
-    "test_fitting", "blind/test_clear_rays", "flatland/test_rendering",
+    "test_fitting", "flatland/test_rendering",
 )  # fmt: skip
 
 

@@ -9,8 +9,7 @@ Three rules:
   is not told, asked, seen or understood. "Read" is for what is stored: a file, a mask, a texture.
 
 Checked are README.md and docs/*.md, every command's help, and the strings of godfit/ that reach
-users: those of exceptions and warnings, stages of progress, and templates of messages. godfit/blind
-is left out.
+users: those of exceptions and warnings, stages of progress, and templates of messages.
 """
 
 import ast
@@ -25,8 +24,7 @@ from godfit.__main__ import cli
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-BLIND = ROOT / "godfit" / "blind"
-SOURCES = sorted(p for p in (ROOT / "godfit").rglob("*.py") if BLIND not in p.parents)
+SOURCES = sorted((ROOT / "godfit").rglob("*.py"))
 LONGEST = 35
 """Words of a sentence, at most: two lines of 100 columns."""
 PERCEPTION = (

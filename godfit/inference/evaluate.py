@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from godfit.inference.observation import Observation
 from godfit.models.base import AbstractModel, Vector
-from godfit.runtime.program_cache import RunTime, cached_jit
+from godfit.runtime.program_cache import cached_jit
 
 
 def model_at(z, held, model):
@@ -47,19 +46,6 @@ def predicted(z, held, model, observation):
 def occlusion_of(model, mask):
     """(h, w) or (h, w, c) occlusion that the light pass of ``model`` reads, from its ``mask``."""
     return model.occlusion(mask)
-
-
-def taps_of(model):
-    """Places (k + 1,) and weights (k + 1,) of the one pass of ``model``, the pixel's own first."""
-    # The shape of the result depends on the number of taps: it gets a program of its own.
-    return _taps_of(jax.tree.map(lambda leaf: int(leaf) if type(leaf) is RunTime else leaf, model))
-
-
-@cached_jit
-def _taps_of(model):
-    (taps,) = model.taps
-    own = jnp.full(1, taps.own, taps.c.dtype)
-    return jnp.append(jnp.zeros_like(own), taps.t), jnp.append(own, taps.c)
 
 
 @cached_jit

@@ -1,7 +1,7 @@
 """A picture that comes with nothing: a hypothesis of the mask that its light pass read, on a smooth
 background.
 
-A mask hypothesis (``DiscLight``, ``BrightPass``) has three numbers of shape, and makes the mask
+A mask hypothesis (``DiscLight``) has three numbers of shape, and makes the mask
 from an open mask, which is known. The background is a polynomial of the place (``background.py``),
 linear in its coefficients. The light is white, or of one colour.
 """

@@ -33,12 +33,5 @@ EDGE = 7
 VEIL = 8
 """Gain times veil: the part of the gain that an open mask has without the disc."""
 
-THRESHOLD = 6
-"""Threshold of a bright pass, a brightness."""
-SOFTNESS = 7
-"""Softness of a bright pass, a brightness."""
-DARK_VALUE = 8
-"""Gain times the mask's value where the picture is dark."""
-
 FIRST_BACKGROUND = SHADING_COUNT + 3
 """Place of the background's first coefficient in the vector of a bare picture."""

@@ -11,7 +11,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from godfit.models.bare_picture import (
     DERIVATIVE_EDGE,
@@ -19,7 +19,7 @@ from godfit.models.bare_picture import (
     value_and_derivatives,
 )
 from godfit.models.coordinates import RADIUS, SCATTERING_COUNT, SHADING_COUNT, VEIL
-from godfit.models.disc_mask import distance_from_light, occluded, occluded_slopes
+from godfit.models.disc_mask import occluded, occluded_slopes
 from godfit.models.mitchell import Mitchell
 from godfit.runtime.device import on_device
 from godfit.scattering.parameters import Parameter
@@ -46,9 +46,6 @@ MIN_EDGE = 1e-6
 0."""
 MAX_EDGE = 0.5
 """Largest width of a disc's edge, in picture heights: a wider one is a glow without an edge."""
-RIM_TEXELS = 1.0
-"""Largest distance of a texel's middle from the disc's edge, in texels, at which the edge may cut
-the texel."""
 
 
 class DiscLight(AbstractBarePicture):
@@ -107,18 +104,6 @@ class DiscLight(AbstractBarePicture):
         """The five derivatives of ``occlusion`` without cut texels, by the light's place and by
         ``shape``."""
         return occluded_slopes(self.light[0], self.shape, open_, least)
-
-    def away(self, size: tuple[int, int]) -> Float[Array, "h w"]:
-        """Distance of the texels of a mask of ``size`` from the light, in picture heights."""
-        return distance_from_light(self.light[0], size)[2]
-
-    def rim(self, size: tuple[int, int]) -> Bool[Array, "h w"]:
-        """Texels of a mask of ``size`` that the disc's edge may cut."""
-        return jnp.abs(self.away(size) - self.shape[0]) < RIM_TEXELS / size[0]
-
-    def cut_into(self, parts: int) -> DiscLight:
-        """This model with texels cut into another number of ``parts`` a side."""
-        return DiscLight(self.shading, self.shape, self.background, self.tint, parts)
 
     def _sum_and_slopes(self, open_, at, method, slopes) -> tuple[Array, ...]:
         (taps,) = self.taps

@@ -8,8 +8,10 @@ from the start, which ends the process itself. This file imports nothing that ta
 from __future__ import annotations
 
 import _imp
+import contextlib
 import os
 import signal
+from collections.abc import Iterator
 from types import FrameType
 
 from godfit.runtime.files import remove_temporaries, written_files
@@ -31,6 +33,35 @@ def end_on_interrupt() -> None:
         signal.signal(signal.SIGINT, _end)
         if hasattr(signal, "siginterrupt"):
             signal.siginterrupt(signal.SIGINT, False)
+
+
+_requests: list[int] = []
+
+
+def requested() -> bool:
+    """Whether an interrupt asks a search that is under way for its best answer so far."""
+    return bool(_requests)
+
+
+@contextlib.contextmanager
+def kept_for_later() -> Iterator[None]:
+    """Within, the first interrupt only makes ``requested`` true; the next one ends the process."""
+
+    def first(number: int, frame: FrameType | None) -> None:
+        if _requests:
+            _end(number, frame)
+        _requests.append(number)
+
+    _requests.clear()
+    if signal.getsignal(signal.SIGINT) is not _end:
+        # Another program's handler, or none, is left as it is.
+        yield
+        return
+    signal.signal(signal.SIGINT, first)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, _end)
 
 
 def interrupt_message() -> str:

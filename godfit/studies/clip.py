@@ -2,7 +2,7 @@
 frame's own.
 
 Frames are fitted one after another, each alone: with its mask or scene, or as a bare picture, whose
-search also starts near the shader of the frame with the least noise so far. Only a frame's estimate
+light is searched about that of the frame before it. Only a frame's estimate
 and covariance are kept, so that memory does not grow with their number. The shader's parameters are
 pooled one by one, see ``pooling.py``.
 """
@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from godfit.blind import unaided
+from godfit.blind import bare_fit
 from godfit.errors import InputError
 from godfit.fitting import found_for
 from godfit.inference.estimates import Solution, estimates
@@ -29,6 +29,7 @@ from godfit.io.image import Image
 from godfit.io.sources import Source, read_source
 from godfit.models.base import FAINTEST, AbstractModel, Vector
 from godfit.models.build import mitchell_template
+from godfit.models.coordinates import LIGHT_X, LIGHT_Y
 from godfit.models.disc_light import DiscLight
 from godfit.report.clip import ClipResult, Frame
 from godfit.report.verdict import spread
@@ -67,15 +68,13 @@ class Shot(NamedTuple):
 
 class _Answer(NamedTuple):
     """The fit of one frame alone: coordinates ``at`` (6,) of scattering and light, their
-    ``covariance`` (6, 6), zero for those that are held, ``open_`` as in ``Found``, and the
-    ``noise`` in levels."""
+    ``covariance`` (6, 6), zero for those that are held, and ``open_`` as in ``Found``."""
 
     name: str
     at: np.ndarray
     covariance: np.ndarray
     open_: list[tuple[int, list[int]]]
     message: str
-    noise: float
 
     @property
     def determined(self) -> np.ndarray:
@@ -126,10 +125,11 @@ def fit_clip(
                 say(f"frame {at}: {text}")
 
             if shot.mask is None and shot.scene is None:
-                found, messages = unaided.found_in(
-                    image, shading, valid, None, pass_scale, fix, start, seed, report,
-                    _so_far(answers),
+                asked = bare_fit.Settings(
+                    valid=valid, pass_scale=pass_scale, fix=fix, start=start,
+                    near=_last_light(answers), seed=seed,
                 )  # fmt: skip
+                found, messages = bare_fit.found_in(image, shading, asked, report)
             else:
                 request = Request(
                     target=image, mask=shot.mask, scene=shot.scene, background=shot.background,
@@ -173,14 +173,14 @@ def _answer(name: str, found: Found) -> _Answer:
         known = spread(found)
         trusted = found.settled.sigma <= WITHIN_ROUNDING or known.residual_misfit.like_noise
         message = found.objection or ("" if trusted else UNLIKE_NOISE)
-        return _Answer(name, z, known.covariance, list(found.opened), message, found.settled.sigma)
+        return _Answer(name, z, known.covariance, list(found.opened), message)
     z, held = found.settled.coordinates, np.asarray(found.problem.held, np.float32)
     at, slopes = (
         np.asarray(a, np.float64) for a in _shader_coordinates(found.problem.model, z, held)
     )
     open_ = [(index, [i for i in others if i < len(at)]) for index, others in found.opened]
     covariance = slopes @ spread(found).covariance @ slopes.T
-    return _Answer(name, at, covariance, open_, found.objection, found.settled.sigma)
+    return _Answer(name, at, covariance, open_, found.objection)
 
 
 @cached_jit
@@ -236,14 +236,13 @@ def _pooled(answers: list[_Answer]) -> Pool:
     return pool._replace(mean=mean, covariance=covariance)
 
 
-def _so_far(answers: list[_Answer]) -> np.ndarray | None:
-    """(4,) coordinates of the scattering from the frame with the least noise, NaN where it
-    determines none. The next frame's search also starts there; its result is its own."""
-    converged = [answer for answer in answers if not answer.message]
-    if not converged:
+def _last_light(answers: list[_Answer]) -> tuple[float, float] | None:
+    """The light (u, v) of the last frame, about which the next one is searched; None where that
+    frame's is not known."""
+    if not answers or answers[-1].message:
         return None
-    best = min(converged, key=lambda answer: answer.noise)
-    return np.where(best.determined, best.at[:SHARED_COUNT], np.nan)
+    u, v = answers[-1].at[LIGHT_X : LIGHT_Y + 1]
+    return float(u), float(v)
 
 
 def _pooled_result(

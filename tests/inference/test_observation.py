@@ -4,10 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy import ndimage
 
-from godfit.blind import explained
-from godfit.blind.explained import grain
 from godfit.inference.observation import CLIPPED, Picture
 from godfit.io.filters import over_channels
 
@@ -40,22 +37,3 @@ def test_under_another_mask_the_levels_say_the_same():
         assert 0 < getattr(other, name).mean() < 1
     # What a mask does have a say in is not taken over.
     assert other.small.mask.shape == (10, 15)
-
-
-@pytest.mark.parametrize("texture", [0.0, 0.6, 4.0])
-def test_texture_of_a_large_picture_is_asked_of_some_bands(monkeypatch, texture):
-    place = np.linspace(0, 3, 600)
-    smooth = 120 + 60 * np.sin(place[:300, None] + 0.4 * place[None])
-    picture = picture_of((smooth + RNG.normal(0, texture, (300, 600)))[..., None])
-    whole = grain(picture)
-    asked = []
-    blur = ndimage.gaussian_filter
-    monkeypatch.setattr(
-        explained.ndimage, "gaussian_filter", lambda a, *s: asked.append(a.size) or blur(a, *s)
-    )
-    monkeypatch.setattr(explained, "FEW", 300 * 600 // 4)
-    some = grain(picture)
-    assert sum(asked) <= 2 * 300 * 600 / 4
-    assert whole == pytest.approx(texture, abs=0.12)
-    # Next to the edges of a band means are one-sided, as next to those of the picture.
-    assert some == pytest.approx(whole, rel=0.05, abs=0.12)

@@ -34,7 +34,7 @@ def answers(seed, count):
         truth[4:] = light
         at = rng.multivariate_normal(truth, covariance)
         at[0] = truth[0]
-        found.append(clip._Answer(f"shot_{i}.png", at, covariance, [(0, [3])], "", 0.1))
+        found.append(clip._Answer(f"shot_{i}.png", at, covariance, [(0, [3])], ""))
     return found, path
 
 
@@ -112,15 +112,12 @@ def test_what_a_frame_leaves_open_it_does_not_tell():
     assert whole.value == pytest.approx(0.035, rel=0.05)
 
 
-def test_the_next_frame_looks_near_the_one_that_is_explained_best():
+def test_the_next_frames_light_is_searched_about_the_last_one():
     found, _ = answers(6, 3)
-    assert clip._so_far([]) is None
-    found[0] = found[0]._replace(noise=0.05)
-    found[1] = found[1]._replace(noise=0.01, message="no rays were found")
-    like = clip._so_far(found)
-    assert np.isnan(like[0])
-    np.testing.assert_array_equal(like[1:], found[0].at[1:4])
-    assert clip._so_far(found[1:2]) is None
+    assert clip._last_light([]) is None
+    np.testing.assert_allclose(clip._last_light(found), found[2].at[4:6])
+    found[2] = found[2]._replace(message="no rays were found")
+    assert clip._last_light(found) is None
 
 
 def test_a_frame_that_disagrees_is_left_out_and_named():

@@ -1,0 +1,279 @@
+"""The fit of a picture that comes with nothing: search, choice, exact numbers, verdict.
+
+The order is that of ``docs/bare-pictures.md``. What the picture does not determine gets no number,
+and an answer that other pixels do not confirm is not converged.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from godfit.blind import hypotheses
+from godfit.blind.certainty import RAYS_COST, SAME_PLACE, SURE_COST, Certainty, certainty
+from godfit.blind.choice import ordered
+from godfit.blind.exact import Exact, Posed, sector_covariance, solved_exactly
+from godfit.blind.hypotheses import Hypothesis, ground_colour
+from godfit.blind.panels import panels
+from godfit.blind.reduced import Reduced, additive, clipped_pixels, reduced
+from godfit.blind.search import Candidate, searched
+from godfit.errors import InputError, Remark
+from godfit.inference.fitted import Found
+from godfit.inference.information import evidence
+from godfit.inference.observation import Picture
+from godfit.io.filters import shrink
+from godfit.io.image import LEVELS, Image
+from godfit.models.coordinates import (
+    DENSITY,
+    EXPOSURE,
+    GAIN,
+    KAPPA,
+    LIGHT_X,
+    LIGHT_Y,
+    RADIUS,
+    VEIL,
+)
+from godfit.models.mitchell import Mitchell
+from godfit.runtime.blas import one_thread
+from godfit.runtime.interrupts import requested
+
+LEAST_PIXELS = 500
+"""Pixels without which nothing can be estimated."""
+LEAST_SIZE = 32
+"""Least width and height of a picture: rays are a few pixels wide there."""
+FOREIGN = 0.02
+"""Share of pixels that may have any level: what no hypothesis explains."""
+MOST_DENSITY_ERROR = 0.1
+"""Largest standard error of a density that is quoted: more is no number."""
+MOST_KAPPA_ERROR = 0.3
+"""The same of the attenuation, as a share of it."""
+EXPLAINED_NOISE = 4.0
+"""Noise in levels up to which single pixels are explained: more is structure."""
+SAME_AS_SEARCH = 0.01
+"""Distance of the exact light from that of the search, up to which the two agree."""
+RIVAL_COST = 0.5
+"""Share of the best hypothesis's explanation from which another one explains as well."""
+RIVAL_PLACE = 0.02
+"""Distance of the lights of two hypotheses that both explain, up to which they agree."""
+NEXT = (
+    "; give a second screenshot with the effect off (--background off.png), or --start light_x=U "
+    "light_y=V, --occluder, --mask"
+)
+NO_RAYS = "no rays were found: a light explains too little of this picture ({:.3f} per pair)"
+UNSURE = "the light explains too little of this picture to be sure of it ({:.3f} per pair)"
+DISAGREE = "searches on independent pixels disagree on the light by {:.1f}% of the picture"
+RIVALS = "two masks explain the picture, with lights {:.1f}% of it apart"
+AT_END = "a number of the search lies at the end of its range"
+MOVED = "the exact light is {:.1f}% of the picture from that of the search"
+STRUCTURE = "the residual is structure of {:.1f} levels, which the light does not explain"
+SEVERAL = "one light of {} is estimated without a mask"
+STOPPED = "interrupted: the best answer so far"
+HYPOTHESIS = {
+    "bright": "the mask is what is bright in the picture, within a radius of the light",
+    "colour": "the mask is a disc on a veil, open where the picture has its ground's colour",
+    "darkness": "the mask is a disc on a veil, open where the picture is not dark",
+}
+BOX = "{}: numbers of this shader are not estimated without a mask; the light alone is"
+PANEL = "a panel at {},{},{},{} is taken to lie on top and is left out"
+
+
+class Settings(NamedTuple):
+    """What a fit of a bare picture is given beside the picture: ``valid`` and ``occluder`` (h, w),
+    where to look and where something occludes the light; ``bright_pass`` to try that hypothesis
+    alone; how many ``lights`` there are, of which one is estimated, and the light pass's size,
+    ``pass_scale``; values that are held (``fix``) and started from; a place ``near`` the light."""
+
+    valid: np.ndarray | None = None
+    occluder: np.ndarray | None = None
+    bright_pass: bool = False
+    lights: int = 1
+    pass_scale: float | None = None
+    fix: Mapping[str, float | None] = {}
+    start: Mapping[str, float] = {}
+    near: tuple[float, float] | None = None
+    seed: int = 0
+
+    @property
+    def place(self) -> tuple[float, float] | None:
+        """Where the light is known to be, from ``near``, ``fix`` and ``start``."""
+        if self.near is not None:
+            return self.near
+        known = {**self.start, **{k: v for k, v in self.fix.items() if v is not None}}
+        if {"light_x", "light_y"} <= known.keys():
+            return known["light_x"], known["light_y"]
+        return None
+
+
+@one_thread()
+def found_in(
+    target: Image, shading: Mitchell, settings: Settings, say: Callable[[str], None]
+) -> tuple[Found, tuple[str, ...]]:
+    """What was found, and notes. Raises InputError for pictures without enough pixels."""
+    h, w = target.values.shape[:2]
+    if min(h, w) < LEAST_SIZE:
+        raise InputError(
+            f"target: expected at least {LEAST_SIZE}x{LEAST_SIZE} pixels without a mask, "
+            f"got {w}x{h}"
+        )
+    if settings.valid is not None and np.count_nonzero(settings.valid) < LEAST_PIXELS:
+        raise InputError(
+            f"ignore: expected some open background, at least {LEAST_PIXELS} pixels, got "
+            f"{np.count_nonzero(settings.valid)}; ignore less"
+        )
+    notes: tuple[str, ...] = ()
+    if shading.convention.box:
+        notes += (BOX.format(shading.shader),)
+        shading = Mitchell(1.0, 0.9, 0.5, 0.5, [[0.5, 0.5]], "mitchell", None)
+        box = True
+    else:
+        box = False
+    say("background, objects, panels")
+    picture = Picture.make(target, np.ones((h, w), np.float32), None, settings.valid)
+    picture = dataclasses.replace(picture, foreign=FOREIGN)
+    if shading.convention.blend == "screen":
+        # A screen blend happens in linear light, and the canvas is encoded after it.
+        picture = dataclasses.replace(picture, transfer="srgb")
+    lying = _panels(picture, shading)
+    valid = picture.valid.copy()
+    for x, y, wide, tall in lying:
+        valid[max(y - 2, 0) : y + tall + 2, max(x - 2, 0) : x + wide + 2] = False
+    notes += tuple(PANEL.format(*place) for place in lying)
+    picture = dataclasses.replace(picture, valid=valid)
+    copy = reduced(picture.levels, valid, shading.convention)
+    occluded = np.zeros(copy.valid.shape, bool)
+    if settings.occluder is not None:
+        occluded = shrink(settings.occluder.astype(np.float32), occluded.shape) > 0.5
+    candidates = ordered(_searched(_tried(copy, occluded, settings), settings, say))
+    best = candidates[0]
+    say("other pixels, sector by sector")
+    sure = certainty(best, settings.place, settings.seed)
+    doubts = _doubts(candidates, sure)
+    if settings.lights > 1:
+        doubts.append(SEVERAL.format(settings.lights))
+    say("exact numbers")
+    posed = Posed(copy, picture, shading, settings.fix, settings.start)
+    exact = solved_exactly(best, posed, settings.seed, requested)
+    notes += (HYPOTHESIS[best.hypothesis.name],)
+    return _concluded(exact, best, sure, [*doubts, *_exact_doubts(exact, best)], box), notes
+
+
+def _panels(picture: Picture, shading: Mitchell) -> list[tuple[int, int, int, int]]:
+    values = additive(picture.levels / np.float32(LEVELS), shading.convention)
+    values = np.broadcast_to(values, (*values.shape[:2], 3))
+    clipped = clipped_pixels(picture.levels)
+    other = ~ground_colour(values, picture.valid, clipped) & picture.valid
+    return panels(other, picture.levels)
+
+
+def _tried(copy: Reduced, occluded: np.ndarray, settings: Settings) -> list[Hypothesis]:
+    makers = [hypotheses.bright]
+    if not settings.bright_pass:
+        makers += [hypotheses.colour, hypotheses.darkness]
+    made = [maker(copy, occluded) for maker in makers]
+    kept = [h for h in made if h is not None and np.count_nonzero(h.usable) >= LEAST_PIXELS]
+    if not kept:
+        raise InputError(
+            f"target: expected at least {LEAST_PIXELS} pixels of the copy that are not clipped, "
+            f"got {np.count_nonzero(copy.usable)}; give --mask"
+        )
+    return kept
+
+
+def _searched(
+    tried: list[Hypothesis], settings: Settings, say: Callable[[str], None]
+) -> list[Candidate]:
+    """The best light under each hypothesis, or under those that were searched before an
+    interrupt."""
+    found: list[Candidate] = []
+    for hypothesis in tried:
+        if found and requested():
+            break
+        say(f"lights, under the hypothesis {hypothesis.name}")
+        found.append(searched(hypothesis, settings.place, settings.seed))
+    return found
+
+
+def _doubts(candidates: list[Candidate], sure: Certainty) -> list[str]:
+    """Why the search's answer is not sure, the gravest first."""
+    best, cost = candidates[0], candidates[0].cost
+    if cost > RAYS_COST:
+        return [NO_RAYS.format(cost)]
+    doubts = []
+    if cost > SURE_COST:
+        doubts.append(UNSURE.format(cost))
+    if sure.apart > SAME_PLACE:
+        doubts.append(DISAGREE.format(100 * sure.apart))
+    for other in candidates[1:]:
+        apart = distance(best.place, other.place)
+        if other.cost < RIVAL_COST * cost and apart > RIVAL_PLACE:
+            doubts.append(RIVALS.format(100 * apart))
+    if sure.at_end:
+        doubts.append(AT_END)
+    return doubts
+
+
+def _exact_doubts(exact: Exact, best: Candidate) -> list[str]:
+    if not exact.exact:
+        return []
+    place = exact.settled.coordinates[LIGHT_X : LIGHT_Y + 1]
+    apart = distance((float(place[0]), float(place[1])), best.place)
+    doubts = []
+    if apart > SAME_AS_SEARCH:
+        doubts.append(MOVED.format(100 * apart))
+    if exact.settled.sigma > EXPLAINED_NOISE:
+        doubts.append(STRUCTURE.format(exact.settled.sigma))
+    return doubts
+
+
+def distance(one: tuple[float, float], other: tuple[float, float]) -> float:
+    """The larger difference of two places, as a share of the picture."""
+    return max(abs(a - b) for a, b in zip(one, other, strict=True))
+
+
+def _concluded(
+    exact: Exact, best: Candidate, sure: Certainty, doubts: list[str], box: bool
+) -> Found:
+    """The answer with its errors, and without a number for what is not determined."""
+    problem, settled = exact.problem, exact.settled
+    z, free, held = settled.coordinates, problem.free.copy(), problem.held.copy()
+    known = [LIGHT_X, LIGHT_Y, KAPPA, DENSITY]
+    # What the search on the copy says holds where single pixels say nothing, or promise more.
+    scatter = np.zeros((len(z), len(z)))
+    scatter[np.ix_(known, known)] = sure.covariance
+    at = evidence(settled, exact.tangent, exact.seen).within(problem.model.ranges(z))
+    if exact.exact:
+        scatter = at.covariance(free) + sector_covariance(exact)
+    scatter[~free] = scatter[:, ~free] = 0.0
+    opened: list[tuple[int, list[int]]] = []
+    if free[GAIN] and not np.isnan(held[EXPOSURE]):
+        opened.append((EXPOSURE, [GAIN]))
+    lost = _lost(z, scatter, exact.exact, box)
+    for index in lost:
+        if free[index]:
+            opened.append((index, []))
+            free[index], held[index] = False, z[index]
+            scatter[index] = scatter[:, index] = 0.0
+    if requested():
+        doubts = [STOPPED, *doubts]
+    objection = doubts[0] + NEXT if doubts else ""
+    remarks = tuple(Remark(doubt, "unsure") for doubt in doubts[1:])
+    return Found(
+        problem.replaced(free=free, held=held), exact.seen, settled, at, tuple(opened), False,
+        remarks, objection, (), None, None, scatter,
+    )  # fmt: skip
+
+
+def _lost(z: np.ndarray, scatter: np.ndarray, exact: bool, box: bool) -> list[int]:
+    """Coordinates that the picture does not determine well enough to be told as numbers."""
+    if box or not exact:
+        return [KAPPA, DENSITY, GAIN, VEIL, RADIUS]
+    error = np.sqrt(np.diag(scatter))
+    lost = []
+    if error[DENSITY] > MOST_DENSITY_ERROR:
+        lost.append(DENSITY)
+    if error[KAPPA] > MOST_KAPPA_ERROR * max(z[KAPPA], 1.0):
+        lost.append(KAPPA)
+    return lost

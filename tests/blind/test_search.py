@@ -1,0 +1,213 @@
+"""The search for a light in a finished picture, on pictures small enough to be searched in a
+second."""
+
+import os
+import signal
+
+import numpy as np
+import pytest
+
+import godfit
+from godfit.blind import choice, hypotheses, misfit_kernel, pairs, reduced, search
+from godfit.blind.bare_fit import Settings, _tried
+from godfit.blind.certainty import RAYS_COST, certainty
+from godfit.blind.panels import panels
+from godfit.io.image import encode
+from godfit.runtime import interrupts
+from godfit.scattering.taps import convention
+
+SIZE = 90, 160
+LIGHT = 0.4, 0.55
+DAWN = convention("dawntime")
+
+
+def light_pass(mask, light, kappa, density, samples=60):
+    """The sum over nearest texels, tap by tap; ``kappa`` along the ray, gain 1."""
+    h, w = mask.shape
+    row, column = np.mgrid[:h, :w]
+    out = np.zeros(mask.shape)
+    for k in range(samples):
+        t = density * (k + 0.5) / samples
+        x = column + 0.5 + t * (light[0] * w - column - 0.5)
+        y = row + 0.5 + t * ((1 - light[1]) * h - row - 0.5)
+        inside = np.clip(y, 0, h - 1).astype(int), np.clip(x, 0, w - 1).astype(int)
+        out += mask[inside] * np.exp(-kappa * t / density) / samples
+    return out
+
+
+def scene(seed=0, veil=0.06, texture=0.0, gain=0.9):
+    """Bytes of a black box and a disc on a veil, over a ground of one colour; and its mask."""
+    h, w = SIZE
+    row, column = np.mgrid[:h, :w]
+    away = np.hypot(column + 0.5 - LIGHT[0] * w, row + 0.5 - (1 - LIGHT[1]) * h)
+    box = (abs(column - 82) < 14) & (abs(row - 40) < 18)
+    mask = np.where(box, 0.0, np.where(away < 8, 1.0, veil))
+    lit = gain * (light_pass(mask, LIGHT, 2.0, 0.8) + 0.3 * mask)
+    ground = np.where(box[..., None], 0.0, [0.05, 0.3, 0.4])
+    noise = np.random.default_rng(seed).normal(0, texture, (h, w, 1))
+    return np.round(255 * np.clip(ground + lit[..., None] + noise, 0, 1)).astype(np.uint8), mask
+
+
+def copy_of(image, shader=DAWN):
+    return reduced.reduced(image.astype(np.float32), np.ones(image.shape[:2], bool), shader)
+
+
+def test_the_kernels_sums_are_those_of_a_loop_over_texels():
+    rng = np.random.default_rng(1)
+    maps = rng.random((2, 12, 20)).astype(np.float32)
+    x, y = rng.uniform(0, 20, (2, 5)), rng.uniform(0, 12, (2, 5))
+    light_x, light_y, kappa, density, radius = point = np.array([7.3, 4.1, 2.5, 0.7, 4.0])
+    out = np.empty((2, 2, 5))
+    misfit_kernel.radial_sums(x, y, point, maps, np.array([0, 1]), out)
+    for k, half, i in np.ndindex(out.shape):
+        dx, dy = x[half, i] - light_x, y[half, i] - light_y
+        last = 1.0 if k == 0 else min(1.0, radius / np.hypot(dx, dy))
+        step = max(last - (1 - density), 0) / misfit_kernel.TAPS
+        total = 0.0
+        for j in range(misfit_kernel.TAPS):
+            at = 1 - density + (j + 0.5) * step
+            row, column = int(np.clip(light_y + dy * at, 0, 11)), int(light_x + dx * at)
+            weight = np.exp(-kappa / density * (1 - at)) * step / density
+            total += maps[k, row, np.clip(column, 0, 19)] * weight
+        assert out[k, half, i] == pytest.approx(total, rel=1e-9, abs=1e-12)
+
+
+def test_the_misfit_is_that_of_reweighted_least_squares():
+    rng = np.random.default_rng(2)
+    light, free = rng.random((1, 2, 60)), rng.normal(size=(60, 2))
+    design = np.column_stack([light[0, 0] - light[0, 1], free])
+    goal = design @ [0.7, 0.2, -0.1] + rng.standard_t(2, 60) * 0.05
+    widths, spread = np.array([8.0, 2.0, 1.0]), 0.05
+    unlimited = np.full((2, 60), 9.0)
+    got, found = misfit_kernel.misfit(
+        free, goal, np.zeros(60), light, unlimited, spread, 0.3, widths
+    )
+    weight = np.ones(60)
+    for turn, width in enumerate(widths):
+        root = np.sqrt(weight)
+        expected = np.linalg.lstsq(design * root[:, None], goal * root, rcond=None)[0]
+        left = goal - design @ expected
+        if turn + 1 < len(widths):
+            weight = 1 / (1 + (left / (spread * widths[turn + 1])) ** 2)
+        assert width > 0
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-7)
+    assert got == pytest.approx(np.log1p((left / spread) ** 2).sum(), rel=1e-5)
+
+
+def test_no_gain_is_negative_and_bounds_count_on_one_side_only():
+    rng = np.random.default_rng(3)
+    light = rng.random((1, 2, 40))
+    falls = -(light[0, 0] - light[0, 1])
+    limits = np.full((2, 40), 9.0)
+    none = np.zeros((40, 0))
+    arguments = light, limits, 0.01, 0.3, np.array([1.0, 1.0])
+    _, found = misfit_kernel.misfit(none, falls, np.zeros(40), *arguments)
+    assert found[0] == 0
+    # What is known to be at least so much is explained by any light that is brighter.
+    cost, _ = misfit_kernel.misfit(none, -falls - 1, np.ones(40), *arguments)
+    assert cost == 0
+
+
+def test_a_screen_blend_adds_in_the_copys_scale():
+    scene_, light = np.array([[[0.2]]]), np.array([[[0.5]]])
+    both = 1 - (1 - scene_) * (1 - light)
+    shader = convention("pmndrs")
+    parts = [reduced.additive(encode(z, "srgb"), shader) for z in (both, scene_, light)]
+    assert parts[0] == pytest.approx(parts[1] + parts[2], rel=1e-5)
+
+
+def test_the_calmest_channel_keeps_white_light_and_drops_coloured_texture():
+    rng = np.random.default_rng(4)
+    texture = rng.normal(0, 0.2, (60, 80, 1)) * [1.0, 0.5, 0.05]
+    weights = hypotheses.calmest_channel(texture + 0.4, np.ones((60, 80), bool))
+    assert weights.sum() == pytest.approx(1)
+    assert (texture @ weights).std() < 0.4 * texture.mean(-1).std()
+
+
+@pytest.mark.parametrize("place", [-2.0, -0.3, 0.0, 0.4, 1.0, 1.2, 3.0])
+def test_places_off_the_picture_have_a_number(place):
+    assert search.place_of(search.number_of(place)) == pytest.approx(place)
+
+
+def test_the_light_of_a_disc_behind_a_box_is_found_and_again_from_near():
+    copy = copy_of(scene()[0])
+    hypothesis = hypotheses.colour(copy, np.zeros(SIZE, bool))
+    found = search.searched(hypothesis, None, 0)
+    assert np.abs(np.subtract(found.place, LIGHT)).max() < 0.006
+    assert found.cost < -0.3
+    near = search.searched(hypothesis, (LIGHT[0] + 0.03, LIGHT[1] - 0.03), 0)
+    assert np.abs(np.subtract(near.place, LIGHT)).max() < 0.006
+    again = search.searched(hypothesis, (LIGHT[0] + 0.03, LIGHT[1] - 0.03), 0)
+    np.testing.assert_array_equal(again.point, near.point)
+    sure = certainty(near, LIGHT, 0)
+    assert sure.apart < 0.01
+    assert 0 < sure.place_error < 0.02
+
+
+def test_texture_has_no_rays():
+    image = scene(gain=0.0, texture=0.05)[0]
+    for hypothesis in _tried(copy_of(image), np.zeros(SIZE, bool), Settings()):
+        assert search.searched(hypothesis, (0.5, 0.5), 0).cost > RAYS_COST
+
+
+def test_a_veil_must_explain_more_than_a_bright_mask():
+    copy = copy_of(scene()[0])
+    occluded = np.zeros(SIZE, bool)
+    plain, veil = hypotheses.bright(copy, occluded), hypotheses.colour(copy, occluded)
+    point = np.zeros(5)
+    for cost, chosen in ((-0.6, "colour"), (-0.25, "bright"), (-0.35, "bright")):
+        both = [search.Candidate(plain, point, -0.3), search.Candidate(veil, point, cost)]
+        assert choice.ordered(both)[0].hypothesis.name == chosen
+
+
+def test_pairs_have_no_end_in_the_mask_or_off_the_picture():
+    copy = copy_of(scene()[0])
+    hypothesis = hypotheses.bright(copy, np.zeros(SIZE, bool))
+    drawn = pairs.drawn(hypothesis, 300, 0)
+    at = drawn.y.astype(int), drawn.x.astype(int)
+    assert drawn.difference.shape == (300,)
+    assert hypothesis.usable[at].all()
+    assert not hypothesis.maps[0][at].any()
+
+
+def test_a_flat_rectangle_is_a_panel_and_an_object_is_none():
+    levels = np.full((120, 200, 3), 90.0)
+    levels[10:60, 140:190] = 20
+    row, column = np.mgrid[:120, :200]
+    disc = np.hypot(row - 80, column - 60) < 25
+    levels[disc] = 200
+    other = (levels != 90).any(-1)
+    assert panels(other, levels) == [(140, 10, 50, 50)]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_the_first_interrupt_asks_for_the_best_so_far():
+    before = signal.getsignal(signal.SIGINT)
+    signal.signal(signal.SIGINT, interrupts._end)
+    try:
+        with interrupts.kept_for_later():
+            assert not interrupts.requested()
+            os.kill(os.getpid(), signal.SIGINT)
+            assert interrupts.requested()
+        assert signal.getsignal(signal.SIGINT) is interrupts._end
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_a_whole_fit(single_precision):
+    image, mask = scene()
+    result = godfit.fit(image, shader="dawntime", samples=60)
+    assert abs(result.params["light_x"].value - LIGHT[0]) < 0.005
+    assert abs(result.params["light_y"].value - LIGHT[1]) < 0.005
+    density = result.params["density"]
+    assert density.stderr is None or abs(density.value - 0.8) < 5 * density.stderr
+    estimated = np.asarray(result.mask) > 0.5 * (0.06 + 1)
+    assert (estimated & (mask == 1)).sum() > 0.7 * (estimated | (mask == 1)).sum()
+    assert any("disc on a veil" in str(note) for note in result.notes)
+
+
+def test_what_has_no_rays_is_refused_with_what_to_do_next(single_precision):
+    result = godfit.fit(scene(gain=0.0, texture=0.05)[0], shader="dawntime", samples=60)
+    assert not result.converged
+    assert "no rays were found" in result.message
+    assert "--background" in result.message
