@@ -85,7 +85,7 @@ def found_in(
     something is known to stand in the way; ``pass_scale`` is asked of the picture where it is not
     given; ``like`` (4,) are coordinates of the scattering that other frames of a clip have, NaN
     where none tells. Raises InputError for what cannot be read so."""
-    if shading.convention.box:
+    if not shading.convention.plain:
         raise InputError(
             f"mask: expected one with the shader '{shading.shader}', got none; give --mask"
         )

@@ -15,7 +15,7 @@ LINE_WIDTH = 100
 @click.command(cls=Command)
 def shaders() -> int:
     """List the shader conventions with their formulas and defaults."""
-    from godfit.scattering.taps import CONVENTIONS
+    from godfit.scattering.conventions import CONVENTIONS
 
     click.echo("M mask at the pixel, M_i at x - i Delta, Delta = (x - l) rho / n; B background")
     click.echo("u to the right, v up as in GLSL; a light whose v runs down: --light-origin top")

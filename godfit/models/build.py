@@ -19,8 +19,8 @@ from godfit.models.base import AbstractModel
 from godfit.models.hoffman_preetham import HoffmanPreetham, View
 from godfit.models.mitchell import Mitchell
 from godfit.models.staged import Staged
+from godfit.scattering.conventions import convention
 from godfit.scattering.parameters import is_light
-from godfit.scattering.taps import convention
 from godfit.scenes.labels import FIRST_OBJECT_LABEL
 from godfit.scenes.scene import MAX_SAMPLES, MIN_SAMPLES, Scene
 from godfit.scenes.view import visible_surfaces

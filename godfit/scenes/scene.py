@@ -30,8 +30,8 @@ from godfit.io.sidecar import SIDECAR_SCATTERING
 from godfit.io.toml_table import Colour, Table
 from godfit.runtime.guest import own_settings
 from godfit.runtime.memory import check_memory
+from godfit.scattering.conventions import convention
 from godfit.scattering.parameters import SCATTERING as PARAMETERS
-from godfit.scattering.taps import convention
 from godfit.scenes import mesh
 from godfit.scenes.gltf_view import view_of
 from godfit.scenes.in_view import Frustum, why_not_in_view

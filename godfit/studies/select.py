@@ -29,8 +29,8 @@ from godfit.report.result import FitResult
 from godfit.report.select import Row, Rung, Selection
 from godfit.runtime.guest import as_guest
 from godfit.runtime.parallel import parallel_map
+from godfit.scattering.conventions import CONVENTIONS
 from godfit.scattering.parameters import MAX_DENSITY
-from godfit.scattering.taps import CONVENTIONS
 from godfit.scenes.scene import Scene, read_scene
 from godfit.scenes.view import framed, in_single_precision, light_on_screen
 from godfit.studies.ladder import LADDER_VALUES, Ladder, like_noise
