@@ -170,10 +170,11 @@ class Mitchell(AbstractModel):
         return np.array(scattering + [0.5] * self.light.size)
 
     def notes(self, free: Sequence[str]) -> tuple[str, ...]:
-        end = self.convention.density_slider
+        shader = self.convention
+        end = shader.density_slider
         if "density" not in free or end is None or abs(float(self.density) - end) > AT_SLIDER_END:
             return ()
-        return (Remark(f"density is {end:g}, where the slider of {self.shader} ends", "slider"),)
+        return (Remark(f"density is {end:g}, where the slider of {shader.name} ends", "slider"),)
 
     @property
     def taps(self) -> tuple[Taps, ...]:

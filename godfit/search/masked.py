@@ -112,7 +112,7 @@ def _explained_by_another(problem: Problem, effort: Effort) -> Found | None:
     found = _likeliest(problem, [starting_points(problem, {})[0]], effort)
     if found.settled.sigma < settled.sigma:
         return None
-    words = ANOTHER_SUM.format(settled.sigma, model.shader, found.settled.sigma)
+    words = ANOTHER_SUM.format(settled.sigma, model.convention.name, found.settled.sigma)
     return found.replaced(objection=words, inquire=False)
 
 

@@ -94,34 +94,30 @@ def light_shafts(mask, p):
 
 def sun_beams(mask, p):
     h, w = mask.shape
-    out = np.zeros(mask.shape)
-    column, row = p["light"][0] * w - 0.5, (1 - p["light"][1]) * h - 0.5
-    for y in range(h):
-        for x in range(w):
-            distance = np.hypot(column - x, row - y)
-            m = min(p["density"] * np.hypot(h, w), distance)
-            total = weights = 0.0
-            for i in range(int(m) + 1):
-                u, v = (x + i * (column - x) / distance, y + i * (row - y) / distance)
-                (value,) = texture(mask, np.array([(u + 0.5) / w]), np.array([1 - (v + 0.5) / h]))
-                total += (1 - i / m) ** 2 * value
-                weights += (1 - i / m) ** 2
-            out[y, x] = total / weights
-    return p["exposure"] * out
+    row, column = np.mgrid[:h, :w]
+    to_x, to_y = p["light"][0] * w - 0.5 - column, (1 - p["light"][1]) * h - 0.5 - row
+    distance = np.hypot(to_x, to_y)
+    m = np.minimum(p["density"] * np.hypot(h, w), distance)
+    total, weights = np.zeros(mask.shape), np.zeros(mask.shape)
+    for i in range(int(m.max()) + 1):
+        weight = np.where(i <= m, (1 - i / m) ** 2, 0)
+        x, y = column + i * to_x / distance, row + i * to_y / distance
+        total = total + weight * texture(mask, (x + 0.5) / w, 1 - (y + 0.5) / h)
+        weights = weights + weight
+    return p["exposure"] * total / weights
 
 
 def godot4(mask, p, radius=150.0, size=16.0):
     h, w = mask.shape
     n, rays = p["samples"], np.zeros(mask.shape)
-    column, row = p["light"][0] * w - 0.5, (1 - p["light"][1]) * h - 0.5
-    for y in range(h):
-        for x in range(w):
-            share = min(np.hypot(column - x, row - y) / radius, 1)
-            for k in range(n):
-                t = p["density"] * k / n * share
-                i = min(max(round(y + t * (row - y)), 0), h - 1)
-                j = min(max(round(x + t * (column - x)), 0), w - 1)
-                rays[y, x] += mask[i, j] / n
+    row, column = np.mgrid[:h, :w]
+    to_x, to_y = p["light"][0] * w - 0.5 - column, (1 - p["light"][1]) * h - 0.5 - row
+    share = np.minimum(np.hypot(to_x, to_y) / radius, 1)
+    for k in range(n):
+        t = p["density"] * k / n * share
+        i = np.clip(np.round(row + t * to_y), 0, h - 1).astype(int)
+        j = np.clip(np.round(column + t * to_x), 0, w - 1).astype(int)
+        rays = rays + mask[i, j] / n
     weights = [np.exp(-(((i - 16) / 10) ** 2) / 2) for i in range(33)]
     for axis in (0, 1):
         across, blurred = rays.shape[axis], np.zeros(mask.shape)
