@@ -15,7 +15,7 @@ Values = Mapping[str, float]
 Light = tuple[float, float]
 
 
-def number(value: float) -> str:
+def number(value: float | int) -> str:
     """A number with the digits of single precision, and a point."""
     text = f"{value:.9g}"
     return text if any(c in text for c in ".en") else f"{text}.0"

@@ -46,7 +46,10 @@ class Export:
         mark = COMMENTS.get(self.engine.template, "//")
         said = [self.engine.title + ": " + self.sentence(), *self.notes]
         lines = [line for text in said for line in textwrap.wrap(text, COMMENT_WIDTH)]
-        return "\n".join(f"{mark} {line}" for line in lines) + "\n" + self.code.rstrip() + "\n"
+        comments, code = [f"{mark} {line}" for line in lines], self.code.rstrip().splitlines()
+        # GLSL ES has its version in the first line.
+        first = [code.pop(0)] if code[0].startswith("#version") else []
+        return "\n".join([*first, *comments, *code]) + "\n"
 
     def sentence(self) -> str:
         """How the picture compares with the fit's."""

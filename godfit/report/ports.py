@@ -1,6 +1,7 @@
 """A fitted shader as a pass in another language, ready to paste.
 
-The formula and the numbers are the fit's own. The loop, its arithmetic and the blend are the same in all; a language says how they are written.
+The formula and the numbers are the fit's own. The loop, its arithmetic and the blend are the same
+in all languages; a language says how they are written.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ LANGUAGES: dict[str, Language] = {
 // iChannel0: what the light pass reads; iChannel1: the ordinary pass; both linear and clamped.
 vec3 occlusion(vec2 at) { return READ(texture(iChannel0, at).rgb); }
 void mainImage(out vec4 result, in vec2 fragCoord) {
-vec2 uv = fragCoord / iResolution.xy;
+  vec2 uv = fragCoord / iResolution.xy;
 """,
         "vec3 b = texture(iChannel1, uv).rgb;\nresult = vec4(BLEND, 1.0);\n}\n",
     ),
@@ -79,7 +80,7 @@ uniform sampler2D mask : filter_linear, repeat_disable;  // what the light pass 
 uniform sampler2D screen : hint_screen_texture, filter_nearest, repeat_disable;
 vec3 occlusion(vec2 at) { return READ(textureLod(mask, at, 0.0).rgb); }
 void fragment() {
-vec2 uv = SCREEN_UV;
+  vec2 uv = SCREEN_UV;
 """,
         "vec3 b = textureLod(screen, uv, 0.0).rgb;\nCOLOR = vec4(BLEND, 1.0);\n}\n",
     ),
@@ -91,7 +92,7 @@ float3 occlusion(float2 at) {
   return READ(SAMPLE_TEXTURE2D_LOD(_Mask, sampler_LinearClamp, at, 0).rgb);
 }
 float4 Frag(Varyings input) : SV_Target {
-float2 uv = input.texcoord;
+  float2 uv = input.texcoord;
 """,
         "float3 b = SAMPLE_TEXTURE2D_LOD(_BlitTexture, sampler_LinearClamp, uv, 0).rgb;\n"
         "return float4(BLEND, 1.0);\n}\n",
@@ -124,7 +125,7 @@ VertData VSDefault(VertData v) {
 }
 float3 occlusion(float2 at) { return READ(mask.Sample(linear_clamp, at).rgb); }
 float4 mainImage(VertData v) : TARGET {
-float2 uv = v.uv;
+  float2 uv = v.uv;
 """,
         "float3 b = image.Sample(linear_clamp, uv).rgb;\nreturn float4(BLEND, 1.0);\n}\n"
         "technique Draw {\n"
@@ -269,7 +270,8 @@ def _tsl(model: Mitchell, lights: list[Light]) -> str:
         read += f".sub({number(shader.threshold)}).max(0.0)"
     if shader.luma:
         read = f"vec3({read}.dot(vec3({', '.join(map(number, LUMA))})))"
-    values = {name: float(value) for name, value in model.values().items()} | shader.absent
+    values = {name: float(value) for name, value in model.values().items()}
+    values = {name: values[name] for name in shader.parameters}
     lines = [
         "import { Fn, Loop, float, texture, vec2, vec3, vec4 } from 'three/tsl';",
         f"// {', '.join(f'{key} {number(value)}' for key, value in values.items())}, samples {n}",

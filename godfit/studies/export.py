@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import math
 from typing import Any
 
 import numpy as np
@@ -230,6 +231,9 @@ def _refitted(
     small = _small(images)
     goal = _levels(model, small) / LEVELS
     samples = NATRON_SAMPLES if own.name == "mean" and start is None else own.samples
+    if own.passes == "sun-beams":
+        # Its samples are the steps of a pixel to the farthest light.
+        samples = math.ceil(math.hypot(*small.mask.shape[:2]))
     samples = int(start.samples) if start is not None else samples
     names = [name for name in own.parameters if name != "exposure"]
     if own.product_open:
@@ -245,6 +249,10 @@ def _refitted(
             values[name] = float(np.clip(value, *ends[name]))
         return _exposed(own, values | {"samples": float(samples)}, light, (small, goal))
 
+    def whole(found: Mitchell) -> Mitchell:
+        steps = own.samples if own.passes == "sun-beams" else int(found.samples)
+        return dataclasses.replace(found, samples=steps)
+
     if not names:
         return solved(np.zeros(0))[1]
     starts = [np.array([base[name] for name in names])] if base else []
@@ -256,7 +264,7 @@ def _refitted(
         lambda point: solved(point)[0], starts[0], method="Nelder-Mead",
         options={"maxfev": REFIT_STEPS, "xatol": 1e-4, "fatol": 1e-4},
     )  # fmt: skip
-    return solved(best.x)[1]
+    return whole(solved(best.x)[1])
 
 
 def _exposed(
