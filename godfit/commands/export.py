@@ -36,7 +36,7 @@ def export(
 
     Inside Mitchell's family the numbers are algebra; the pixel's own value and the blend, which no
     algebra gives, are rendered both ways and said in levels. Engines with another sum are refitted
-    with the light where it is, and refused where the picture would be another look. For an engine
+    with the light where it is, and refused where the picture would be no match. For an engine
     without the effect, --to glsl, godot, unity-hlsl, reshade-fx, obs, shadertoy, wgsl or tsl gives
     the fit's own shader in its language.
     """

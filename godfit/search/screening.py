@@ -10,6 +10,7 @@ them.
 from __future__ import annotations
 
 import itertools
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -137,7 +138,8 @@ def _linear_start(
         # One number scales both: that of the rays, of which there are more.
         exposure = gain * density / (n * shader.absent["weight"])
         if shader.saturated:
-            total = float(shader.weights(np.exp(-shape[0] * density / n), shader.count(n)))
+            decay = math.exp(-float(shape[0]) * density / n)
+            total = float(shader.weights(decay, shader.count(n)))
             room = max(1 - exposure * total, LEAST_BLENDED)
             exposure *= (1 - shader.threshold) / room
     elif not shader.own_pixel:

@@ -32,7 +32,7 @@ from godfit.scattering.conventions.convention import SCATTERING_NAMES
 from godfit.scattering.engines import ENGINES, ROUNDING, Engine, TapNumbers, translated
 
 WORST_MATCH = 10.0
-"""Levels rms from which a refit is another look, and is not offered as a match."""
+"""Levels rms from which a refit is not offered as a match."""
 REFIT_SIDE = 160
 """Longest side, in pixels, of the copy that is refitted."""
 REFIT_STEPS = 120
@@ -127,7 +127,7 @@ def for_engine(
         why = f": {reason}" if reason else ""
         raise InputError(
             f"{engine.name}: expected a picture within {WORST_MATCH:g} levels rms, got "
-            f"{difference.rms:.3g} rms and {difference.worst:.3g} at worst, which is another look"
+            f"{difference.rms:.3g} rms and {difference.worst:.3g} at worst, which is no match"
             f"{why}; export to a port of the fit's own shader, see --to list"
         )
     told = [f"exact with: {option}" for option in engine.options]
