@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from godfit.models.mitchell import Mitchell
     from godfit.report.clip import ClipResult
     from godfit.report.result import FitResult
+    from godfit.scattering.conventions import CONVENTIONS
     from godfit.scattering.radial import radial_sum
-    from godfit.scattering.taps import CONVENTIONS, Taps
+    from godfit.scattering.taps import Taps
     from godfit.scenes.raster import rasterise
     from godfit.scenes.scene import Scene, read_scene
     from godfit.studies.clip import fit_clip
@@ -41,7 +42,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "CONVENTIONS": "godfit.scattering.taps",
+    "CONVENTIONS": "godfit.scattering.conventions",
     "ClipResult": "godfit.report.clip",
     "Estimate": "godfit.inference.estimates",
     "FitResult": "godfit.report.result",

@@ -33,6 +33,7 @@ from typing import Any
 import click
 
 from godfit.commands.compare import compare
+from godfit.commands.export import export
 from godfit.commands.fit import fit
 from godfit.commands.mask import mask
 from godfit.commands.render import render
@@ -57,7 +58,7 @@ def cli() -> None:
     """Estimate the parameters of god rays from images."""
 
 
-for command in (fit, compare, select, simplify, render, mask, shaders):
+for command in (fit, compare, select, simplify, render, export, mask, shaders):
     cli.add_command(command)
 
 

@@ -41,6 +41,8 @@ from godfit.scenes.view import (
 
 NO_VALUES = np.zeros((0, 0), np.float32)
 """Stands for the values of an image of which only the file's name is still needed."""
+UNKNOWN_SCALE = 1.0
+"""Exposure that is held where no picture determines it and its shader publishes none."""
 
 
 def fit(
@@ -270,7 +272,8 @@ def _ready(request: Request) -> Posed:
     problem, notes, always_open = posed.problem, posed.notes, ()
     opened = left_open(problem.model, problem)
     if opened is not None:
-        value = posed.given.get(opened.name, problem.model.defaults[opened.name])
+        default = problem.model.defaults.get(opened.name, UNKNOWN_SCALE)
+        value = posed.given.get(opened.name, default)
         problem = problem.holding(opened.name, value)
         if opened.note:
             notes += (opened.note.format(value),)

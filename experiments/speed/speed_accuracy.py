@@ -28,8 +28,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from godfit.scattering.conventions import convention
 from godfit.scattering.radial import EXACT, METHODS, cheapest, radial_sum
-from godfit.scattering.taps import Taps, convention
+from godfit.scattering.taps import Taps
 from tests.support import random_targets
 from tests.support.timing import timed
 

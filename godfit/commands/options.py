@@ -58,7 +58,10 @@ LIMIT = click.option(
     help="Refuse larger images. [default: 134217728]",
 )
 SHADER = combined(
-    click.option("--shader", help="Shader convention; see `godfit shaders`. [default: mitchell]"),
+    click.option(
+        "--shader",
+        help="Convention, see `godfit shaders`, or a FILE.toml of your own. [default: mitchell]",
+    ),
     click.option("--samples", type=int, help="Samples a ray. [default: the shader's own]"),
 )
 BRIGHT_PASS = click.option(

@@ -25,7 +25,7 @@ from godfit.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from godfit.scattering.taps import Convention
+    from godfit.scattering.conventions import Convention
     from godfit.scenes.scene import Scene
 
 FLATLAND_OPTIONS = (

@@ -213,7 +213,7 @@ def prepare(
 
 def warn_of_defaults(options: Mapping[str, Any]) -> None:
     """Warn of a shader or a number of samples that was not given."""
-    from godfit.scattering.taps import convention
+    from godfit.scattering.conventions import convention
 
     settings = {**options["scene"].settings, **options} if "scene" in options else options
     if "shader" not in settings:

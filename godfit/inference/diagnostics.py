@@ -115,7 +115,7 @@ def diagnose(picture: Picture, model, pixels: np.ndarray, tangent: Tangent) -> l
         *_transfer(picture, target[at].ravel()[rows], values(full), jacobian[:, rows], residual),
         *_background(picture, values, span),
     ]
-    if isinstance(model, Mitchell) and not model.convention.box:
+    if isinstance(model, Mitchell) and not model.convention.composed:
         suspects += _second_light(picture, model, full, pixels, tangent)
     suspects.sort(key=lambda s: -s.share)
     return suspects
@@ -204,7 +204,7 @@ def _conventions(picture, model, full, values, span):
     if not isinstance(model, Mitchell):
         return
     whole = picture.mask.shape[:2] == picture.size
-    if not model.convention.own_pixel and whole and not model.convention.box:
+    if not model.convention.own and whole and not model.convention.composed:
         words = WORDS["convention"].format(what="the mask itself, a tap at each pixel")
         yield Suspect(span.share([values(picture.mask)]), "convention", words)
     if picture.background is not None:
@@ -217,7 +217,7 @@ def _conventions(picture, model, full, values, span):
         return
     place = np.asarray(model.light)
     others = []
-    if model.convention.box:
+    if model.convention.composed:
         for decay in (1.0, 0.98, 0.95):
             others.append(Mitchell(0.01, decay, 0.9, 1.0, place, "mitchell", 60))
         what = "Mitchell's sum along whole rays"

@@ -167,5 +167,8 @@ def given_and_held(
                 )
             given[name] = float(value)
         check_values(model, {n: given[n] for n in values}, option)
-    held = np.array([given[n] if n in fix else np.nan for n in table], np.float32)
-    return given, held
+    # What the formula lacks is held where its stand-in is, so that the rest is computed with that.
+    absent = {name: value for name, value in model.absent.items() if name in table}
+    given |= absent
+    held = [given[n] if n in fix or n in absent else np.nan for n in table]
+    return given, np.array(held, np.float32)

@@ -90,7 +90,10 @@ class _Scan:
 def other_samples(model: Mitchell, picture: Picture, seed: int = 0) -> Mitchell | None:
     """``model`` with the number of samples of the largest likelihood, or None where no other number
     gains more than noise would. For models with one light, for pictures without a background."""
-    if picture.background is not None or picture.transfer != "none" or model.convention.box:
+    shader = model.convention
+    # The scan has an own pixel that moves with nothing else or none, and one set of taps.
+    scanned = shader.plain and (shader.own_scaled or not shader.own) and shader.most_taps is None
+    if picture.background is not None or picture.transfer != "none" or not scanned:
         return None
     if model.light.shape[0] != 1:
         return None
@@ -108,7 +111,7 @@ def other_samples(model: Mitchell, picture: Picture, seed: int = 0) -> Mitchell 
     if gain < SAMPLES_GAIN or best.samples == model.samples:
         return None
     other = resampled(model, best.samples)
-    density = best.step * best.samples
+    density = best.step * (best.samples - shader.step_drop)
     decay = math.exp(-coarse.kappa * best.step)
     return eqx.tree_at(
         lambda m: (m.density, m.decay), other, (jnp.float32(density), jnp.float32(decay))
@@ -118,8 +121,9 @@ def other_samples(model: Mitchell, picture: Picture, seed: int = 0) -> Mitchell 
 def _about(model: Mitchell, samples: int) -> list[Spacing]:
     """Spacings for a number of samples about the one whose rays end where the model's do: half a
     step beyond the last tap."""
-    drop, density = model.convention.drop, float(model.density)
-    end = density / model.samples * (model.samples - drop + 0.5)
+    shader, density = model.convention, float(model.density)
+    drop, parts = shader.drop, samples - shader.step_drop
+    end = density / (model.samples - shader.step_drop) * (model.samples - drop + 0.5)
     step = end / (samples - drop + 0.5)
-    steps = np.minimum(step * (1 + SPACING_OFFSETS / samples), density_reach(density) / samples)
+    steps = np.minimum(step * (1 + SPACING_OFFSETS / samples), density_reach(density) / parts)
     return [Spacing(samples, float(s)) for s in np.unique(steps)]

@@ -41,6 +41,13 @@ def read_sidecar(target: str) -> dict[str, Any]:
         value = scattering.optional(key, kind)
         if value is not None:
             options[key] = value
+    if "shader" in options:
+        options["shader"] = shader_beside(path, options["shader"])
     root.finish()
     scattering.finish()
     return options
+
+
+def shader_beside(path: Path, shader: str) -> str:
+    """The shader that a file at ``path`` names: one in a file of its own lies beside that one."""
+    return str(path.parent / shader) if shader.lower().endswith(".toml") else shader

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -48,7 +48,7 @@ class AbstractModel(eqx.Module):
 
     @property
     @abstractmethod
-    def settings(self) -> dict[str, str | int | float]:
+    def settings(self) -> dict[str, Any]:
         """The settings that are given and not fitted, for reports: the shader and the like."""
 
     @property
@@ -60,6 +60,11 @@ class AbstractModel(eqx.Module):
     @abstractmethod
     def defaults(self) -> dict[str, float]:
         """The values of parameters that are not given, by name."""
+
+    @property
+    def absent(self) -> dict[str, float]:
+        """The values that stand for parameters that the formula lacks, by name: none."""
+        return {}
 
     @property
     def used(self) -> np.ndarray:

@@ -19,8 +19,8 @@ from godfit.models.base import AbstractModel
 from godfit.models.hoffman_preetham import HoffmanPreetham, View
 from godfit.models.mitchell import Mitchell
 from godfit.models.staged import Staged
+from godfit.scattering.conventions import convention
 from godfit.scattering.parameters import is_light
-from godfit.scattering.taps import convention
 from godfit.scenes.labels import FIRST_OBJECT_LABEL
 from godfit.scenes.scene import MAX_SAMPLES, MIN_SAMPLES, Scene
 from godfit.scenes.view import visible_surfaces
@@ -75,14 +75,14 @@ def mitchell_at(
     """
     shader = convention(settings.get("shader", "mitchell"))
     count = len(lights) or sum(is_light(k) for k in settings) // 2 or 1
-    model = mitchell_template(shader.name, settings.get("samples"), count)
+    model = mitchell_template(shader.key, settings.get("samples"), count)
     places = {}
     for i, (u, v) in enumerate(lights):
         stem = "light" if i == 0 else f"light{i + 1}"
         places |= {f"{stem}_x": u, f"{stem}_y": v}
     point = {}
     for name in model.parameters:
-        fallback = 0.5 if is_light(name) else shader.defaults.get(name)
+        fallback = 0.5 if is_light(name) else model.defaults.get(name)
         value = places.get(name, values.get(name, settings.get(name, fallback)))
         if value is None and name in shader.parameters:
             raise InputError(f"{name}: expected a value, got none; '{shader.name}' has no default")
@@ -95,7 +95,7 @@ def mitchell_at(
         point["density"],
         point["weight"],
         light,
-        shader.name,
+        shader.key,
         model.samples,
     )
 

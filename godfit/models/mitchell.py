@@ -19,6 +19,7 @@ from godfit.io.arrays import as_light
 from godfit.models.base import FAINTEST, AbstractModel, Vector
 from godfit.models.coordinates import DENSITY, EXPOSURE, GAIN, KAPPA, SCATTERING_COUNT
 from godfit.runtime.device import on_device
+from godfit.scattering.conventions import Convention, convention
 from godfit.scattering.parameters import (
     MAX_DENSITY,
     SCATTERING,
@@ -26,9 +27,10 @@ from godfit.scattering.parameters import (
     density_reach,
     table,
 )
+from godfit.scattering.passes import Pass, composed_sum
 from godfit.scattering.radial import radial_sum
 from godfit.scattering.radial.exact import at_run_time
-from godfit.scattering.taps import Convention, Count, Taps, convention
+from godfit.scattering.taps import Count, Taps
 from godfit.scattering.upsample import Texels, at_pixels
 
 MIN_DENSITY = 1e-3
@@ -76,8 +78,11 @@ class Mitchell(AbstractModel):
         self.exposure, self.decay = on_device(exposure, float), on_device(decay, float)
         self.density, self.weight = on_device(density, float), on_device(weight, float)
         self.light = on_device(light, float).reshape(-1, 2)
-        self.shader = convention(shader).name
-        self.samples = at_run_time(convention(shader).samples if samples is None else samples)
+        own = convention(shader)
+        self.shader = own.key
+        count = own.samples if samples is None else samples
+        # The loops of sums that are no sequence of taps need a known number.
+        self.samples = count if own.passes else at_run_time(count)
 
     @property
     def convention(self) -> Convention:
@@ -85,12 +90,22 @@ class Mitchell(AbstractModel):
         return convention(self.shader)
 
     @property
-    def settings(self) -> dict[str, str | int | float]:
-        return {"shader": self.shader, "samples": self.samples}
+    def settings(self) -> dict[str, Any]:
+        own = self.convention
+        definition = {"shader_definition": own.definition()} if own.own_file else {}
+        return {"shader": own.name, "samples": self.samples, **definition}
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        return table(self.light.shape[0])
+        rows = table(self.light.shape[0])
+        most = self.convention.most_density
+        if most != MAX_DENSITY:
+            rows["density"] = dataclasses.replace(rows["density"], upper=most)
+        return rows
+
+    @property
+    def absent(self) -> dict[str, float]:
+        return dict(self.convention.absent)
 
     @property
     def used(self) -> np.ndarray:
@@ -99,7 +114,7 @@ class Mitchell(AbstractModel):
 
     @property
     def defaults(self) -> dict[str, float]:
-        return dict(self.convention.defaults)
+        return self.convention.defaults | self.convention.absent
 
     def values(self) -> dict[str, Float[Array, ""]]:
         scattering = (self.exposure, self.decay, self.density, self.weight)
@@ -136,11 +151,13 @@ class Mitchell(AbstractModel):
         inf = float("inf")
         lights = self.light.size
         # kappa >= 0 is decay <= 1.
-        lower, upper = [0.0, 0.0, MIN_DENSITY, 0.0], [inf, inf, MAX_DENSITY, inf]
+        lower, upper = [0.0, 0.0, MIN_DENSITY, 0.0], [inf, inf, self.convention.most_density, inf]
         return lower + [-inf] * lights, upper + [inf] * lights
 
     def linear(self) -> np.ndarray:
-        return np.isin(np.arange(SCATTERING_COUNT + self.light.size), (EXPOSURE, GAIN))
+        # A saturated sum is not linear in its exposure, and nothing in it depends on the gain.
+        linear = () if self.convention.saturated else (EXPOSURE, GAIN)
+        return np.isin(np.arange(SCATTERING_COUNT + self.light.size), linear)
 
     def scales(self, coordinates: np.ndarray) -> np.ndarray:
         floor = np.full(coordinates.shape, 0.1, np.float32)
@@ -153,10 +170,11 @@ class Mitchell(AbstractModel):
         return np.array(scattering + [0.5] * self.light.size)
 
     def notes(self, free: Sequence[str]) -> tuple[str, ...]:
-        end = self.convention.density_slider
+        shader = self.convention
+        end = shader.density_slider
         if "density" not in free or end is None or abs(float(self.density) - end) > AT_SLIDER_END:
             return ()
-        return (Remark(f"density is {end:g}, where the slider of {self.shader} ends", "slider"),)
+        return (Remark(f"density is {end:g}, where the slider of {shader.name} ends", "slider"),)
 
     @property
     def taps(self) -> tuple[Taps, ...]:
@@ -173,16 +191,32 @@ class Mitchell(AbstractModel):
         """The scattering pass alone, not clamped: at ``at``, (..., 2) columns and rows of the mask,
         or at every pixel of the mask."""
         mask = as_light(mask, "mask")
-        shader = self.convention
-        passes = self.taps
-        total = 0.0
+        shader, total = self.convention, 0.0
+        read = shader.reads(mask)
         for light in self.light:
-            image = 1 - mask if shader.box else mask
+            total += self._scattered(read, light, at, method)
+        return jnp.asarray(total)
+
+    def _scattered(self, read, light, at, method):
+        """The light pass of one ``light``, of what it ``read``s."""
+        shader = self.convention
+        if shader.passes:
+            given = Pass(light, self.density, self.samples, shader.pass_options, at)
+            image = composed_sum(shader, read, given)
+        else:
+            passes, image = self.taps, 1 - read if shader.box else read
             for taps in passes[:-1]:
                 image = radial_sum(image, light, taps, method=method)
             image = radial_sum(image, light, passes[-1], at=at, method=method)
-            total += self.exposure * (1 - image) if shader.box else image
-        return jnp.asarray(total)
+        if shader.power != 1:
+            # The sum has the exposure already, which is no part of what is raised.
+            exposure = shader.gain * self.exposure
+            image = exposure * _raised(image / jnp.maximum(exposure, FAINTEST), shader.power)
+        if shader.box:
+            image = 1 - image
+        # What is blended towards a light pass has its exposure there.
+        scaled = shader.composed and shader.blend != "towards"
+        return self.exposure * image if scaled else image
 
     def __call__(
         self,
@@ -231,16 +265,27 @@ class Mitchell(AbstractModel):
             light = light[..., None]
         elif light.ndim > background.ndim:
             background = background[..., None]
-        if self.convention.blend == "screen":
+        blend = self.convention.blend
+        if blend == "screen":
             return background + light - background * light
+        if blend == "modulate":
+            return background * (1 + light)
+        if blend == "towards":
+            mean = light.mean(-1, keepdims=True) if light.ndim == background.ndim > 1 else light
+            return background + self.exposure * mean * (light - background)
         return self.convention.background_gain * background + light
+
+
+def _raised(image, power):
+    """``image`` to ``power``; at 0 its derivative is finite too."""
+    return jnp.where(image > 0, jnp.where(image > 0, image, 1.0) ** power, 0.0)
 
 
 def resampled(model: Mitchell, samples: int) -> Mitchell:
     """``model`` with another number of samples, and with decay, density and weight that make up for
     it: the attenuation, the centroid and the sum of its taps stay the same. Density stays in its
     ``density_reach``, at whose end the centroid may differ."""
-    if samples == model.samples or model.convention.box:
+    if samples == model.samples or model.convention.composed:
         return dataclasses.replace(model, samples=samples)
     density = float(model.density)
     kappa = -model.samples * math.log(max(float(model.decay), TINY_DECAY)) / density
@@ -272,6 +317,6 @@ def _moments(model: Mitchell) -> tuple[float, float]:
     """The sum of the taps' weights without the pixel's own, and their centroid along the ray."""
     (taps,) = model.taps
     c = float(taps.first) * float(taps.ratio) ** np.arange(taps.count, dtype=float)
-    t = float(taps.step) * np.arange(1, taps.count + 1)
+    t = float(taps.step) * (np.arange(1, taps.count + 1) - float(taps.lag))
     total = float(c.sum())
     return total, float(c @ t) / max(total, TINY_SUM)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 
 from godfit.models.base import AbstractModel
 from godfit.models.mitchell import Mitchell
-from godfit.scattering.taps import Convention, Taps
+from godfit.scattering.conventions import Convention
+from godfit.scattering.taps import Taps
 
 
 class AbstractShaded(AbstractModel):
@@ -30,8 +31,12 @@ class AbstractShaded(AbstractModel):
         return self.shading.samples
 
     @property
-    def settings(self) -> dict[str, str | int | float]:
+    def settings(self) -> dict[str, Any]:
         return self.shading.settings
+
+    @property
+    def absent(self) -> dict[str, float]:
+        return self.shading.absent
 
     @property
     def taps(self) -> tuple[Taps, ...]:

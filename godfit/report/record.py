@@ -19,6 +19,8 @@ from godfit.io.image import read_image
 from godfit.io.regular_files import MAX_TEXT_BYTES, read_regular
 from godfit.models.build import mitchell_at
 from godfit.models.mitchell import Mitchell
+from godfit.scattering.conventions import convention
+from godfit.scattering.conventions.shader_file import from_definition
 from godfit.scenes.scene import read_scene
 from godfit.scenes.view import drawn_mask, resized
 
@@ -30,7 +32,8 @@ SCHEMA = 2
 """Version of fit.json's layout: it grows with every change that breaks readers. Since 2, warnings
 and notes are objects; both layouts are read."""
 MODEL_SETTINGS = (
-    "model", "shader", "samples", "rays", "phase", "fov", "distance", "pass_scale",
+    "model", "shader", "shader_definition", "samples", "rays", "phase", "fov", "distance",
+    "pass_scale",
 )  # fmt: skip
 """Keys of fit.json that describe the model and its light pass and are not fitted."""
 
@@ -64,6 +67,7 @@ FIT_SCHEMA: dict[str, Any] = {
         },
         **dict.fromkeys(("model", "shader", "phase", "transfer"), _TEXT),
         **{key: {"type": "integer", "minimum": 1, "maximum": 10**6} for key in ("samples", "rays")},
+        "shader_definition": {"type": "object", "maxProperties": 64},
         **dict.fromkeys(("fov", "distance"), _NUMBER),
         **dict.fromkeys(("size", "pass_size"), _SIDES),
     },
@@ -178,9 +182,14 @@ def read_params(path: str) -> dict[str, Any]:
     a fit.json."""
     record = read_record(path)
     low = _pair(record, "pass_size")
+    settings = {key: record[key] for key in MODEL_SETTINGS if record.get(key) is not None}
+    definition = settings.pop("shader_definition", None)
+    if definition is not None:
+        # A user's own shader comes with the fit: its file may have changed, or be elsewhere.
+        settings["shader"] = convention(from_definition(definition, path)).key
     return {
         **({} if low is None else {"pass_size": low}),
-        **{key: record[key] for key in MODEL_SETTINGS if record.get(key) is not None},
+        **settings,
         **{name: entry["value"] for name, entry in record["params"].items()},
     }
 

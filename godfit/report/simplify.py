@@ -54,7 +54,7 @@ class Simpler:
             "schema": 1,
             "message": self.sentence,
             "model": self.model.name,
-            "shader": self.model.shader,
+            "shader": self.model.convention.name,
             "samples": self.model.samples,
             "pass_scale": self.scale,
             "params": {name: {"value": value} for name, value in _numbers(self.model).items()},

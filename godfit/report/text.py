@@ -46,6 +46,7 @@ def given(model: AbstractModel) -> str:
     return ", ".join(
         f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
         for name, value in model.settings.items()
+        if not isinstance(value, dict)
     )
 
 

@@ -43,7 +43,7 @@ SCATTERING = (
 def density_reach(density: float) -> float:
     """The end of the range that a density is in: taps up to the light, or taps beyond it. Another
     shader in place of one whose taps end at the light should not reach beyond it either."""
-    return LIGHT_DENSITY if density <= LIGHT_DENSITY else MAX_DENSITY
+    return LIGHT_DENSITY if density <= LIGHT_DENSITY else max(MAX_DENSITY, density)
 
 
 def light_parameters(lights: int) -> tuple[Parameter, ...]:

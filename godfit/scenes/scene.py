@@ -26,12 +26,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from godfit.errors import InputError, shown
 from godfit.io.image import TRANSFERS
-from godfit.io.sidecar import SIDECAR_SCATTERING
+from godfit.io.sidecar import SIDECAR_SCATTERING, shader_beside
 from godfit.io.toml_table import Colour, Table
 from godfit.runtime.guest import own_settings
 from godfit.runtime.memory import check_memory
+from godfit.scattering.conventions import convention
 from godfit.scattering.parameters import SCATTERING as PARAMETERS
-from godfit.scattering.taps import convention
 from godfit.scenes import mesh
 from godfit.scenes.gltf_view import view_of
 from godfit.scenes.in_view import Frustum, why_not_in_view
@@ -375,6 +375,7 @@ def _setting(table: Table, key: str) -> Any:
     if key == "transfer" and value not in TRANSFERS:
         raise table.error(key, " or ".join(map(repr, TRANSFERS)), shown(value))
     if key == "shader":
+        value = None if value is None else shader_beside(table.path, value)
         try:
             convention(value)
         except InputError as error:

@@ -82,7 +82,7 @@ def settled_edges(
         )
         if np.count_nonzero(soft_off > threshold) < np.count_nonzero(hard_off > threshold):
             return smooth.picture
-    if model.convention.box:
+    if not model.convention.plain:
         return picture
     uncertain = _UncertainEdges.of(np.atleast_3d(picture.mask), np.atleast_3d(smooth.picture.mask))
     as_drawn = problem
@@ -254,6 +254,6 @@ def _weights(model: Mitchell):
     )
     yield 0.0, float(taps.own)
     for k in range(1, taps.count + 1):
-        t = k * float(taps.step)
+        t = (k - float(taps.lag)) * float(taps.step)
         if abs(1 - t) > NEAR_LIGHT_SHARE:
             yield t, float(taps.first) * float(taps.ratio) ** (k - 1)

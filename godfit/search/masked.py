@@ -39,8 +39,8 @@ PLAIN_NOISE = 3.0
 """Noise in levels up to which that sum explains a picture whose order of decay, own pixel and
 number of taps are others: with another number of taps it has bands elsewhere."""
 ANOTHER_SUM = (
-    "the picture is a sum along whole rays ({:.2g} levels of noise) and no box passes, as {} has "
-    "them ({:.2g} levels); give its own --shader, see `godfit shaders`"
+    "the picture is a sum along whole rays ({:.2g} levels of noise) and not what {} computes "
+    "({:.2g} levels); give its own --shader, see `godfit shaders`"
 )
 """Objection with the noise of the plain sum, the shader and its noise."""
 OWN_SIZE = (
@@ -63,9 +63,8 @@ def _(model: AbstractModel, problem: Problem, given: dict[str, float], effort: E
 @left_open.register
 def _(model: Mitchell, problem: Problem) -> Open | None:
     """Where no pixel shows its own value, exposure and weight act only through their product."""
-    if model.convention.own_pixel or not (
-        problem.is_free("exposure") and problem.is_free("weight")
-    ):
+    both_free = problem.is_free("exposure") and problem.is_free("weight")
+    if not (model.convention.product_open and both_free):
         return None
     return Open("exposure", ("weight",))
 
@@ -93,11 +92,11 @@ def search_mask(problem: Problem, given: dict[str, float], effort: Effort) -> Fo
 
 
 def _explained_by_another(problem: Problem, effort: Effort) -> Found | None:
-    """The best start of a shader of box passes, with the objection, where the picture is Mitchell's
-    sum instead. Its search takes a second, and that of box passes, which nothing would explain,
-    minutes."""
+    """The best start of a shader of several passes, with the objection, where the picture is
+    Mitchell's sum instead. Its search takes a second, and that of the passes, which nothing would
+    explain, minutes."""
     model = problem.model
-    whole = isinstance(model, Mitchell) and model.convention.box and problem.free.any()
+    whole = isinstance(model, Mitchell) and model.convention.composed and problem.free.any()
     if not whole or not effort.inquire:
         return None
     assert isinstance(model, Mitchell)
@@ -113,7 +112,7 @@ def _explained_by_another(problem: Problem, effort: Effort) -> Found | None:
     found = _likeliest(problem, [starting_points(problem, {})[0]], effort)
     if found.settled.sigma < settled.sigma:
         return None
-    words = ANOTHER_SUM.format(settled.sigma, model.shader, found.settled.sigma)
+    words = ANOTHER_SUM.format(settled.sigma, model.convention.name, found.settled.sigma)
     return found.replaced(objection=words, inquire=False)
 
 

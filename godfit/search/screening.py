@@ -10,6 +10,7 @@ them.
 from __future__ import annotations
 
 import itertools
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -70,21 +71,80 @@ def light_grid(target: np.ndarray, seed: int) -> np.ndarray:
     return np.concatenate([lattice, rings, spots])
 
 
+LEAST_BLENDED = 0.05
+"""Least factor of a light pass in its blend that is divided by."""
+WHOLE_SHAPES = 12
+"""Attenuations and densities at which a shader is screened whose rays cannot be shared."""
+
+
 @cached_jit
-def _box_rays(
+def _whole_rays(
     mask: Float[Array, "h w"],
     light: Float[Array, "lights 2"],
     at: Float[Array, "points 2"],
+    shapes: Float[Array, "shapes 2"],
     model: Mitchell,
-) -> Float[Array, "lights 1 points"]:
-    """The light pass of exposure 1 for every light, for a shader whose rays cannot be shared."""
-    model = eqx.tree_at(lambda m: m.exposure, model, jnp.ones_like(model.exposure))
+) -> Float[Array, "lights shapes points"]:
+    """The light pass of exposure 1 for every light and shape, for a shader whose rays cannot be
+    shared: by the mask as it is, which a threshold may have cut."""
+    ones = jnp.ones_like(model.exposure)
 
-    def one(light):
-        lit = eqx.tree_at(lambda m: m.light, model, light[None])
-        return lit.light_pass(mask, at)[None]
+    def one(light, shape):
+        kappa, density = shape[0], shape[1]
+        decay = jnp.exp(-kappa * density / model.samples)
+        lit = eqx.tree_at(
+            lambda m: (m.exposure, m.decay, m.density, m.weight, m.light),
+            model,
+            (ones, decay, density, ones, light[None]),
+        )
+        return lit.light_pass(mask, at)
 
-    return lax.map(one, light)
+    def every(light):
+        return lax.map(lambda shape: one(light, shape), shapes)
+
+    return lax.map(every, light)
+
+
+def _alone(model: Mitchell) -> bool:
+    """Whether rays of this shader cannot be shared by several attenuations and densities."""
+    return model.convention.composed or model.convention.power != 1
+
+
+def _whole_shapes(given: dict[str, float], model: Mitchell) -> np.ndarray:
+    """(shapes, 2) pairs of kappa and density that a shader is screened at whose rays cannot be
+    shared: few, as every pair costs a picture."""
+    shader = model.convention
+    if shader.box:
+        return np.ones((1, 2), np.float32)
+    known = {n: v for n, v in shader.absent.items() if n in ("decay", "density")} | given
+    found = _shapes(known, model.samples)
+    if "density" in known or shader.passes or shader.blurs:
+        return found
+    return found[:: max(1, len(found) // WHOLE_SHAPES)]
+
+
+def _linear_start(
+    model: Mitchell, solved: tuple[float, float], shape: np.ndarray
+) -> tuple[float, float]:
+    """The coordinates exposure and gain from the factors ``solved`` of the pixel's own value and
+    of the integral along the ray, at a ``shape`` (kappa, density)."""
+    shader, (own, along) = model.convention, solved
+    n, density = int(model.samples), float(shape[1])
+    if _alone(model):
+        return along, 1.0
+    scale = shader.gain / (n if shader.averaged else 1)
+    exposure, gain = own / scale, along / scale
+    if "weight" in shader.absent:
+        # One number scales both: that of the rays, of which there are more.
+        exposure = gain * density / (n * shader.absent["weight"])
+        if shader.saturated:
+            decay = math.exp(-float(shape[0]) * density / n)
+            total = float(shader.weights(decay, shader.count(n)))
+            room = max(1 - exposure * total, LEAST_BLENDED)
+            exposure *= (1 - shader.threshold) / room
+    elif not shader.own_pixel:
+        exposure = shader.defaults.get("exposure", 1.0)
+    return exposure, gain
 
 
 class _View(NamedTuple):
@@ -126,7 +186,8 @@ def mitchell_starts(
     if given.keys() >= model.parameters.keys():
         return [_with_given(model, np.asarray(model.coordinates(), np.float32), given)]
     target, weight = _light_pass(picture, model)
-    mask = shrink(grey(picture.mask), (SCREENING_SIZE, SCREENING_SIZE))
+    read = np.asarray(shader.reads(picture.mask))
+    mask = shrink(grey(picture.mask if _alone(model) else read), (SCREENING_SIZE, SCREENING_SIZE))
     h, w = target.shape
     chosen = np.random.default_rng(seed).permutation(h * w)[:SCREENING_POINTS]
     at = np.stack(
@@ -138,11 +199,14 @@ def mitchell_starts(
     ).astype(np.float32)
     goal, weight = (z.ravel()[chosen].astype(np.float32) for z in (target, weight))
     places, given_lights = light_places(light_grid(target, seed), given, lights)
-    if shader.box:
-        shapes, along, scale, own = np.ones((1, 2)), np.ones((1, 1), np.float32), 1.0, 0 * goal
+    if _alone(model):
+        shapes, own = _whole_shapes(given, model), 0 * goal
 
         def rays_to(spots):
-            return _box_rays(on_device(mask), on_device(spots), on_device(at), model)
+            at_once = on_device(mask), on_device(spots), on_device(at), on_device(shapes)
+            return _whole_rays(*at_once, model)
+
+        along = np.eye(len(shapes), dtype=np.float32)
     else:
         shapes = _shapes(given, model.samples)
         steps = round(RAY_STEPS * density_reach(float(shapes[:, 1].max())))
@@ -150,9 +214,11 @@ def mitchell_starts(
         # The last step of a ray may be covered in part.
         part = np.clip(shapes[:, 1:] * RAY_STEPS - np.arange(steps), 0, 1)
         along = (np.exp(-shapes[:, :1] * middles) * part / RAY_STEPS).astype(np.float32)
-        scale = shader.gain
         own = ndimage.map_coordinates(mask, at[:, ::-1].T, order=1, mode="nearest")
         own = own * np.float32(lights * shader.own)
+        if not shader.own_scaled:
+            # A pixel's own value with a known factor leaves the rest to be explained.
+            goal, own = goal - own, 0 * own
         fine = ndimage.zoom(mask, 2, order=1, mode="nearest", grid_mode=True)
 
         def rays_to(spots):
@@ -171,11 +237,7 @@ def mitchell_starts(
     spots = places[groups].reshape(len(groups), -1)
     found = []
     for i, j in distinct_starts(cost, spots, shapes, keep):
-        exposure, gain = e[i, j] / scale, g[i, j] / scale
-        if shader.box:
-            exposure, gain = gain, 1.0
-        elif not shader.own_pixel:
-            exposure = shader.defaults["exposure"]
+        exposure, gain = _linear_start(model, (float(e[i, j]), float(g[i, j])), shapes[j])
         # An exposure of zero would leave the weight without meaning.
         exposure = max(exposure, 1e-2 * gain / model.samples, 1e-4)
         start = np.array([exposure, *shapes[j], max(gain, 1e-4), *spots[i]], np.float32)
@@ -223,7 +285,9 @@ def _light_pass(picture: Picture, model: Mitchell) -> tuple[np.ndarray, np.ndarr
     if picture.background is not None:
         back = picture.background
         if shader.blend == "screen":
-            light = (light - back) / np.maximum(1 - back, 0.05)
+            light = (light - back) / np.maximum(1 - back, LEAST_BLENDED)
+        elif shader.blend == "modulate":
+            light = light / np.maximum(back, LEAST_BLENDED) - 1
         else:
             light = light - np.float32(shader.background_gain) * back
     weight = shrink(

@@ -58,6 +58,7 @@ class Ladder:
         self.ranking_pixels = self.picture.observe(self.picture.informative(SEARCH_PIXELS, seed))
         self.views = list(multigrid.blurred_views(self.picture.small, seed))
         published = self.shader.convention.defaults
+        published = published | self.shader.absent
         self.held = {name: published.get(name, SHIPPED_DEFAULTS[name]) for name in SHIPPED_DEFAULTS}
         self.held |= {"light_x": place[0], "light_y": place[1]}
 
@@ -66,17 +67,16 @@ class Ladder:
         out: another number of samples where none is better, colour where the target is grey."""
         found = [self.veil()]
         point = self._coordinates(self.shader)
-        box = self.shader.convention.box
+        shader = self.shader.convention
         steps = [
             ("shader defaults", "rays about a light", []),
             ("+ light", "where the light is", ["light_x", "light_y"]),
         ]
-        if not box:
-            steps += [
-                ("+ attenuation", "how fast the rays fade", ["decay"]),
-                ("+ density", "how far the rays reach", ["density"]),
-            ]
-        if not box and self.shader.convention.own_pixel:
+        if "decay" in shader.parameters:
+            steps += [("+ attenuation", "how fast the rays fade", ["decay"])]
+        if "density" in shader.parameters:
+            steps += [("+ density", "how far the rays reach", ["density"])]
+        if "weight" in shader.parameters and shader.own_pixel:
             steps += [("+ own pixel", "how much a pixel shows of itself", ["weight"])]
         held, given = dict(self.held), []
         for _, _, freed in steps:

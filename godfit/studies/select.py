@@ -29,8 +29,7 @@ from godfit.report.result import FitResult
 from godfit.report.select import Row, Rung, Selection
 from godfit.runtime.guest import as_guest
 from godfit.runtime.parallel import parallel_map
-from godfit.scattering.parameters import MAX_DENSITY
-from godfit.scattering.taps import CONVENTIONS
+from godfit.scattering.engines import TapNumbers, equivalents
 from godfit.scenes.scene import Scene, read_scene
 from godfit.scenes.view import framed, in_single_precision, light_on_screen
 from godfit.studies.ladder import LADDER_VALUES, Ladder, like_noise
@@ -39,8 +38,6 @@ HELD_OUT_BLOCK = 16
 """Pixels a side of the blocks that are held out: neighbours in a block are correlated."""
 HELD_OUT_VALUES = 1 << 16
 """Values that held-out pixels are drawn from, at most: they limit the time."""
-OVERSHOT_DENSITY = 1e-6
-"""Rounding error by which an equivalent density may exceed the largest one."""
 
 
 def select(
@@ -206,33 +203,19 @@ def _equivalent(rung: Rung, base: FitResult) -> dict[str, dict[str, float]]:
     values they hold them at. Pictures do not depend on the order of decay and weight; they do
     depend on how a background is blended."""
     model = rung.model
-    if not isinstance(model, Mitchell) or model.convention.box:
+    if not isinstance(model, Mitchell) or not model.convention.plain:
         return {}
+    shader = model.convention
     moves = dict(zip(model.parameters, rung.free, strict=True))
-    if not (moves["decay"] and moves["density"] and moves["weight"]):
-        return {model.shader: rung.values}
-    (taps,) = model.taps
-    own, first, decay, step = (float(z) for z in (taps.own, taps.first, taps.ratio, taps.step))
-    found = {model.shader: rung.values | {"samples": float(model.samples)}}
-    for other in CONVENTIONS.values():
-        convention = model.convention
-        if other.box or other.name == model.shader or other.own_pixel != convention.own_pixel:
-            continue
-        blending = (other.blend, other.background_gain)
-        if base.picture.background is not None and blending != (
-            convention.blend,
-            convention.background_gain,
-        ):
-            continue
-        samples = taps.count + other.drop
-        exposure = own / (other.gain * other.own) if other.own_pixel else float(model.exposure)
-        weight = first / max(other.gain * exposure * decay ** (1 - other.order), 1e-30)
-        density = min(step * samples, MAX_DENSITY)
-        if step * samples > MAX_DENSITY + OVERSHOT_DENSITY:
-            continue
-        lights = {k: v for k, v in rung.values.items() if k.startswith("light")}
-        found[other.name] = {
-            "exposure": exposure, "decay": decay, "density": density, "weight": weight,
-            **lights, "samples": float(samples),
-        }  # fmt: skip
+    if not all(moves[name] for name in ("decay", "density", "weight") if name in shader.parameters):
+        return {shader.name: rung.values}
+    numbers = TapNumbers.of(model.taps[0])
+    lights = {k: v for k, v in rung.values.items() if k.startswith("light")}
+    found = {shader.name: rung.values | {"samples": float(model.samples)}}
+    exposure = None if shader.own_pixel else float(model.exposure)
+    others = equivalents(numbers, shader, base.picture.background is not None, exposure)
+    for name, other in others.items():
+        values = dict(other.values)
+        count = values.pop("samples")
+        found[name] = values | lights | {"samples": count}
     return found

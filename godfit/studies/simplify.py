@@ -49,14 +49,15 @@ def simplify(
     - `background`, `size`: as of `godfit.Mitchell`.
     - `transfer`: how the picture is encoded; levels are those of the encoded picture.
 
-    Raises InputError for a tolerance that is not above 0, and for the shader ``three``, whose
-    samples are fixed. The error is not monotonic in the samples: a smaller number may do too.
+    Raises InputError for a tolerance that is not above 0, and for a shader of several
+    passes, whose samples are fixed. The error is not monotonic in the samples: a smaller number may
+    do too.
     """
     if not 0 < tolerance < math.inf:
         raise InputError(f"tolerance: expected levels above 0, got {tolerance:g}")
     if by not in ("worst", "rms"):
         raise InputError(f"by: expected worst or rms, got '{by}'")
-    if model.convention.box:
+    if not model.convention.plain:
         raise InputError(f"simplify: expected a shader with samples, got '{model.convention.name}'")
     if tolerance <= 2 * TOLERANCE_MARGIN:
         raise InputError(

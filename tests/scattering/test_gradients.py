@@ -9,8 +9,9 @@ import pytest
 from jax.test_util import check_grads
 
 from godfit.models.mitchell import Mitchell
+from godfit.scattering.conventions import CONVENTIONS
 from godfit.scattering.radial import radial_sum
-from godfit.scattering.taps import CONVENTIONS, Taps
+from godfit.scattering.taps import Taps
 from tests.support import scattering_oracle as oracle
 
 # A density that puts no tap on a texel line by accident: there the bilinear mask has two slopes.

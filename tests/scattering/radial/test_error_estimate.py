@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from godfit.scattering import radial
+from godfit.scattering.conventions import convention
 from godfit.scattering.radial import METHODS, cheapest, error
 from godfit.scattering.radial.error_estimate import costs
-from godfit.scattering.taps import Taps, convention
+from godfit.scattering.taps import Taps
 from tests.support import scattering_oracle as oracle
 
 radial_sum = jax.jit(radial.radial_sum, static_argnames="method")

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from godfit.scattering import radial
+from godfit.scattering.conventions import convention
 from godfit.scattering.radial.spacings_kernel import residual_squares
-from godfit.scattering.taps import Taps, convention
+from godfit.scattering.taps import Taps
 from tests.support import scattering_oracle as oracle
 
 # The module; the package has a function of that name.

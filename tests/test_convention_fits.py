@@ -1,0 +1,12 @@
+"""Truths of two conventions, found from bytes; experiments/accuracy/conventions.py has all."""
+
+import pytest
+
+from tests.support import convention_truths
+
+
+@pytest.mark.parametrize(("shader", "seed"), [("mean", 0), ("reshade", 0)])
+def test_a_truth_is_found(shader, seed):
+    tried = convention_truths.attempt(shader, seed)
+    assert tried.converged, tried.message
+    assert tried.found, tried.scores
