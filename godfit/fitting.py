@@ -65,6 +65,7 @@ def fit(
     start: Mapping[str, float] | None = None,
     valid: np.ndarray | None = None,
     transfer: str = "none",
+    arithmetic: str | None = None,
     channels: int | None = None,
     inquire: bool = True,
     max_values: int = MAX_VALUES,
@@ -110,6 +111,9 @@ def fit(
     - `start`: parameters to start from. None is needed.
     - `valid`: (h, w), False where the target is to be ignored.
     - `transfer`: `"none"` or `"srgb"`, how the target (and the background) were encoded.
+    - `arithmetic`: `"gpu"`, in which a shader walks to the light in float32, or `"exact"`; errors
+      allow for it, see `godfit.inference.arithmetic`. By default `"gpu"` for a target of bytes that
+      this program has not rendered, else `"exact"`.
     - `channels`: 3 counts every channel of a grey picture. That costs time and adds no information,
       but makes likelihoods comparable with those of models that are never grey.
     - `inquire`: where the residual is not noise, whether to try other starts, to correct the bias
@@ -129,8 +133,8 @@ def fit(
             background=background, occluder=occluder, bright_pass=bright_pass, shader=shader,
             samples=samples, rays=rays, lights=lights, pass_scale=pass_scale, fov=fov,
             distance=distance, fix=fix, start=start, valid=valid, transfer=transfer,
-            channels=channels, inquire=inquire, max_values=max_values, seed=seed,
-            progress=progress,
+            arithmetic=arithmetic, channels=channels, inquire=inquire, max_values=max_values,
+            seed=seed, progress=progress,
         ).checked()  # fmt: skip
         try:
             return _fit(request)
@@ -250,6 +254,8 @@ def _pose(request: Request) -> Posed:
             images["target"], images["mask"], images.get("background"), request.valid, pass_scale,
             request.channels or model.channels,
         )  # fmt: skip
+        if request.arithmetic is not None:
+            picture = dataclasses.replace(picture, arithmetic=request.arithmetic)
     images = {role: dataclasses.replace(im, values=NO_VALUES) for role, im in images.items()}
     given, held = given_and_held(model, request.held_at, start)
     free = np.isnan(held) & model.used

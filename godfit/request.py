@@ -14,6 +14,7 @@ import numpy as np
 from godfit.errors import InputError
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.model import Flatland
+from godfit.inference.observation import ARITHMETICS
 from godfit.inference.problem import MAX_VALUES
 from godfit.io.image import Image
 from godfit.io.sources import Source
@@ -50,6 +51,7 @@ class Request:
     start: Mapping[str, float] | None = None
     valid: np.ndarray | None = None
     transfer: str = "none"
+    arithmetic: str | None = None
     channels: int | None = None
     inquire: bool = True
     max_values: int = MAX_VALUES
@@ -88,6 +90,10 @@ class Request:
         """The request, with its scene loaded. Raises InputError for options that exclude each
         other."""
         check_model(self.kind, self.free, self.shader, self.lights, self.fov, self.distance)
+        if self.arithmetic not in (None, *ARITHMETICS):
+            raise InputError(
+                f"arithmetic: expected {' or '.join(ARITHMETICS)}, got '{self.arithmetic}'"
+            )
         if self.fix is not None and not isinstance(self.fix, Mapping):
             # Names alone are held where the search starts.
             names = [self.fix] if isinstance(self.fix, str) else list(self.fix)

@@ -82,6 +82,11 @@ PICTURE = combined(
         "vesper: 1 or .5]",
     ),
     click.option("--transfer", type=click.Choice(["none", "srgb"]), help="Encoding of the target."),
+    click.option(
+        "--arithmetic",
+        type=click.Choice(["gpu", "exact"]),
+        help="How the target was computed. [default: gpu for bytes that godfit has not rendered]",
+    ),
     click.option("--fov", type=float, help="Vertical field of view in degrees, without a scene."),
     click.option(
         "--distance", type=float, help="Distance of visible surfaces; with a scene, of the sky."

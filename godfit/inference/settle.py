@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from godfit.inference.noise import EXPLAINED, FINAL_SIGMA_VALUES, best_sigma
+from godfit.inference.noise import EXPLAINED, FINAL_SIGMA_VALUES, SIGMAS, best_sigma, noise_of
 from godfit.inference.observation import Observation
 from godfit.inference.problem import SEARCH_PIXELS, Problem
 from godfit.inference.solver import Intervals, Tangent, solve_tangent, tangent_at
@@ -193,19 +193,24 @@ def aim(
     """Where the tangent's likelihood is largest, with the tangent taken there."""
     z, sigma, likelihood = at.coordinates, at.sigma, at.log_likelihood
     lo, hi = np.asarray(observation.lo), np.asarray(observation.hi)
-    levels, slack = tangent.prediction, _slack(tangent.prediction, lo, hi)
+    own = None if observation.own_noise is None else np.asarray(observation.own_noise)
+    # Distances count in each value's own noise, which they push against.
+    wide = np.float32(1) if own is None else noise_of(SIGMAS[0], own) / SIGMAS[0]
+    levels, slack = tangent.prediction, _slack(tangent.prediction, lo, hi) / wide
     violated = None
     for _ in range(AIM_ROUNDS):
-        rows, part, walls = None, tangent, (observation.lo, observation.hi)
+        rows, part = None, tangent
+        intervals = Intervals(observation.lo, observation.hi, observation.foreign, own)
         if sigma < EXPLAINED:
             rows = _tightest(slack)
         if rows is not None:
             if violated is not None and np.array_equal(rows, violated):
                 # Many values are equal, and the same ones are chosen again and again.
                 break
-            part, walls = tangent.only(rows), (lo[rows], hi[rows])
+            part = tangent.only(rows)
+            some = None if own is None else own[rows]
+            intervals = Intervals(lo[rows], hi[rows], observation.foreign, some)
         moved = part.moved(z - at.coordinates)
-        intervals = Intervals(*walls, observation.foreign)
         there = solve_tangent(
             z, problem, part._replace(prediction=moved), intervals, sigma
         ).coordinates
@@ -215,7 +220,7 @@ def aim(
             if np.abs(moved - levels).max() < NO_MOVE * sigma:
                 break
             # Values that were left out are violated now: they are solved for from here on.
-            slack, violated = np.minimum(slack, _slack(moved, lo, hi)), rows
+            slack, violated = np.minimum(slack, _slack(moved, lo, hi) / wide), rows
             continue
         z, levels, before, sigma, likelihood = there, moved, sigma, likeliest_sigma, new_likelihood
         if abs(sigma - before) < SAME_SIGMA * before:

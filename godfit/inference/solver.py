@@ -13,6 +13,7 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
 from godfit.inference.likelihood import deviance_residuals, interval
+from godfit.inference.noise import noise_of
 from godfit.inference.observation import Observation
 from godfit.inference.problem import Problem
 from godfit.models.base import AbstractModel, Values, Vector
@@ -81,18 +82,21 @@ class Tangent(NamedTuple):
 
 
 class Intervals(NamedTuple):
-    """Bounds ``lo`` (m,) and ``hi`` (m,) of values in levels, and the share ``foreign`` of them
-    that may have any level."""
+    """Bounds ``lo`` (m,) and ``hi`` (m,) of values in levels, the share ``foreign`` of them that
+    may have any level, and each value's ``own_noise`` (m,) in levels, None without."""
 
     lo: Values
     hi: Values
     foreign: float = 0.0
+    own_noise: Values | None = None
 
 
 def tangent_at(coordinates: np.ndarray, problem: Problem, observation: Observation) -> Tangent:
     """The tangent at a point: every pixel is rendered, with its derivatives."""
     scale = problem.model.scales(coordinates)
-    prediction, jacobian = linearise(coordinates, problem.held, scale, problem.model, observation)
+    # Noise has no part in a rendering, and would make another program of it.
+    plain = observation.with_noise(None)
+    prediction, jacobian = linearise(coordinates, problem.held, scale, problem.model, plain)
     return Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
 
 
@@ -164,9 +168,10 @@ def _on_tangent(
     jacobian = jnp.asarray(jacobian)
     levels = jnp.asarray(prediction) + step @ jacobian
     low, high = (jnp.asarray(z) - levels for z in (intervals.lo, intervals.hi))
-    pixel = interval(low / sigma, high / sigma, intervals.foreign)
-    curvature = (jacobian * (pixel.curvature / sigma**2)[None]) @ jacobian.T
-    slope = jacobian @ (pixel.slope / sigma)
+    noise = noise_of(sigma, intervals.own_noise)
+    pixel = interval(low / noise, high / noise, intervals.foreign)
+    curvature = (jacobian * (pixel.curvature / noise**2)[None]) @ jacobian.T
+    slope = jacobian @ (pixel.slope / noise)
     # In one array: each transfer to the host takes as long as the computation.
     return jnp.concatenate([jnp.full_like(slope, pixel.log.sum())[None], slope[None], curvature])
 
@@ -227,10 +232,12 @@ def solve_tangent(
     slope outwards stays there (Bertsekas, SIAM J. Control Optim. 20 (1982), 221).
     """
     prediction, jacobian, scale = tangent
-    lo, hi, foreign = intervals
+    lo, hi, foreign, own_noise = intervals
     free = problem.free
     levels, slopes, lower_ends, upper_ends = (on_device(z) for z in (prediction, jacobian, lo, hi))
-    values = levels, slopes, Intervals(lower_ends, upper_ends, foreign), np.float32(sigma)
+    own_noise = None if own_noise is None else on_device(own_noise)
+    walls = Intervals(lower_ends, upper_ends, foreign, own_noise)
+    values = levels, slopes, walls, np.float32(sigma)
     bounds = [np.asarray(b, np.float64) for b in problem.bounds]
     lower, upper = ((b - start) / scale for b in bounds)
     width = np.asarray(hi) - np.asarray(lo)
@@ -278,9 +285,10 @@ def solve_tangent(
 
 @cached_jit
 def _slope(prediction, jacobian, intervals, sigma):
-    lo, hi, foreign = intervals
-    pixel = interval((lo - prediction) / sigma, (hi - prediction) / sigma, foreign)
-    return -jacobian @ (pixel.slope / sigma)
+    lo, hi, foreign, own_noise = intervals
+    noise = noise_of(sigma, own_noise)
+    pixel = interval((lo - prediction) / noise, (hi - prediction) / noise, foreign)
+    return -jacobian @ (pixel.slope / noise)
 
 
 def _inside(start, problem, run, slope) -> Point:

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from godfit.scattering.parameters import Parameter
-from godfit.scattering.taps import Count
+from godfit.scattering.taps import Count, Taps
 from godfit.scattering.upsample import Texels
 
 Vector = Float[Array, " p"] | Float[np.ndarray, " p"]
@@ -111,6 +111,16 @@ class AbstractModel(eqx.Module):
     def notes(self, free: Sequence[str]) -> tuple[str, ...]:
         """Notes on the values of the parameters ``free``, for reports: none."""
         return ()
+
+    def flat(self, mask: Any) -> tuple[AbstractModel, Any]:
+        """A model whose ``light`` is a field of its own, and the mask that its taps read: this
+        one, and the mask that was given."""
+        return self, mask
+
+    @property
+    def walk(self) -> Taps | None:
+        """The taps to which a shader walks along the ray, None where there is no such walk."""
+        return None
 
     def occlusion(self, mask: Float[Array, "h w"]) -> Float[Array, "h w"]:
         """The mask that the light pass reads, from the mask that was given: the same."""

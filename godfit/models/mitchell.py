@@ -164,6 +164,10 @@ class Mitchell(AbstractModel):
         numbers = (self.exposure, self.decay, self.density, self.weight)
         return self.convention.taps(*numbers, self.samples)
 
+    @property
+    def walk(self) -> Taps | None:
+        return None if self.convention.box else self.taps[0]
+
     def light_pass(
         self,
         mask: Any,

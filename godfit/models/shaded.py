@@ -37,3 +37,7 @@ class AbstractShaded(AbstractModel):
     def taps(self) -> tuple[Taps, ...]:
         """The taps of each pass of the shader."""
         return self.shading.taps
+
+    @property
+    def walk(self) -> Taps | None:
+        return self.shading.walk

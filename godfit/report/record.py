@@ -96,6 +96,7 @@ def fit_record(result: FitResult, command: str = "") -> dict[str, Any]:
         "pass_size": list(result.picture.mask.shape[1::-1]),
         "pass_scale": result.pass_scale,
         "transfer": result.picture.transfer,
+        "arithmetic": result.picture.arithmetic,
         "pixels": result.pixels,
         "pixels_effective": round(result.pixels_effective, 1),
         "starts_agreed": result.starts_agreed,

@@ -124,7 +124,7 @@ class FitResult:
         pictures that fail."""
 
         def render(path: Path) -> None:
-            write_image(path, self.render(), transfer=self.picture.transfer)
+            write_image(path, self.render(), transfer=self.picture.transfer, exact=True)
 
         record = ("fit.json", self.record(command))
         write_result(Path(folder), record, ("fit.png", self.plot), {"render.png": render})
