@@ -292,11 +292,13 @@ def _ready(request: Request) -> Posed:
 
 
 def _rival(request: Request, posed: Posed) -> Callable[[], Problem] | None:
-    """The same problem with a light pass of its shader's own scale, where nothing says which the
-    target has: neither an option nor a file, nor a mask smaller than the target."""
+    """The same problem with a light pass of another size, where nothing says which the target has.
+    With a mask of the target's size it is the shader's own; with a smaller mask, the target's."""
     model, picture = posed.problem.model, posed.problem.picture
     if not isinstance(model, Mitchell) or "pass_scale" in request.settings:
         return None
+    if picture.pass_size(model) != picture.size:
+        return lambda: posed.problem.replaced(model=dataclasses.replace(model, full_size=True))
     scale = model.convention.pass_scale
     if scale == 1 or picture.mask.shape[:2] != picture.size:
         return None

@@ -9,14 +9,15 @@ enters as noise with the variance of a rounding to the grid below 1,
 
     (2^-24 / step)^2 / 12 sum over lights of (J_u^2 + J_v^2)
 
-Texture units interpolate with fractions of 1/256 (Vulkan 1.3, section 16.9, table "Required
-Limits", subTexelPrecisionBits: 4 at least, 8 in common hardware). A tap of weight c_k is then off
-by the mask's slope there times the rounding of the fraction, so that a value has the variance
+Texture units interpolate with fractions of 1/256 (Vulkan's limit subTexelPrecisionBits, 8 in common
+hardware). A tap of weight c_k is then off by the mask's slope there times the rounding of the
+fraction, so that a value has the variance
 
     (2^-8)^2 / 12 sum_k c_k^2 |grad M_k|^2
 
-which is one more radial sum: that of the squared slopes by the squared weights. All channels share
-one drift: as many times the variance make them count as one.
+which is one more radial sum: that of the squared slopes by the squared weights. A light pass in
+half floats is rounded to these before it becomes bytes. All channels share one drift: as many times
+the variance make them count as one.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from godfit.inference.mask_rounding import rounded_texels
 from godfit.inference.observation import EXACT, Observation
 from godfit.inference.problem import Problem
 from godfit.inference.solver import Tangent, tangent_at
@@ -76,8 +78,11 @@ def with_arithmetic(
         by_light = np.asarray(_by_light(coordinates, problem.held, model, plain))
     variance = (WALK_ROUNDING / float(walk.step)) ** 2 * by_light
     if isinstance(model, (Mitchell, AbstractShaded)):
-        fractions = _by_fractions(coordinates, problem.held, model, plain, tangent.prediction)
-        variance = variance + np.asarray(fractions)
+        texels = rounded_texels(picture, model)
+        by_taps = _by_taps(coordinates, problem.held, model, (plain, texels), tangent.prediction)
+        variance = variance + np.asarray(by_taps)
+        if model.convention.half_floats:
+            variance = variance + half_float_variance(tangent.prediction)
     noise = np.sqrt(picture.channels * variance).astype(np.float32)
     return observation.with_noise(noise)
 
@@ -100,20 +105,24 @@ def _by_light(
 
 
 @cached_jit
-def _by_fractions(
+def _by_taps(
     coordinates: Vector,
     held: Vector,
     model: AbstractModel,
-    observation: Observation,
+    read: tuple[Observation, Float[Array, "..."] | None],
     prediction: Float[Array, " m"],
 ) -> Float[Array, " m"]:
-    """Variances of the levels where fractions of a texel are rounded."""
+    """Variances of the levels where taps err by themselves: by rounded fractions of a texel, and by
+    the variances of the texels, which are ``read`` with the observation, None for none."""
+    observation, texels = read
     flat, mask = model.moved(coordinates, held).flat(observation.mask)
     assert isinstance(flat, Mitchell)
     some = None if observation.whole else observation.pixels
+    image = FRACTION_ROUNDING**2 * squared_slopes(mask)
+    image = image if texels is None else image + texels
     squares = at_pixels(
-        lambda slopes, at: squared_sum(flat, slopes, at), squared_slopes(mask), observation.size,
-        some, observation.texels,
+        lambda image, at: squared_sum(flat, image, at), image, observation.size, some,
+        observation.texels, flat.full_size,
     )  # fmt: skip
     squares = squares.reshape(observation.pixels.shape[0], -1)
     squares = jnp.broadcast_to(squares, (observation.pixels.shape[0], observation.channels))
@@ -121,7 +130,13 @@ def _by_fractions(
     _, by_light = jax.jvp(
         lambda z: LEVELS * encode(z, observation.transfer), (linear,), (jnp.ones_like(linear),)
     )
-    return FRACTION_ROUNDING**2 * squares.reshape(-1) * jnp.square(by_light)
+    return squares.reshape(-1) * jnp.square(by_light)
+
+
+def half_float_variance(levels: np.ndarray) -> np.ndarray:
+    """(m,) variance in levels of values that were stored as half floats, of 11 significant bits."""
+    spacing = np.spacing(np.abs(levels / LEVELS).astype(np.float16)).astype(np.float32) * LEVELS
+    return np.square(spacing) / 12
 
 
 def squared_sum(

@@ -66,7 +66,7 @@ def process_of(picture: Picture, model: AbstractModel, sigma: float) -> Process 
         if settings is None:
             return None
         return lambda at, rng: compressed(picture.rendered(at), *settings)
-    if picture.mask.shape[:2] != picture.size and isinstance(model, Mitchell):
+    if picture.pass_size(model) != picture.size and isinstance(model, Mitchell):
         return lambda at, rng: enlarged_bytes(picture, at, rng)
     return None
 

@@ -18,7 +18,7 @@ from godfit.io.image import LEVELS, Image, encode
 from godfit.models.base import AbstractModel
 from godfit.runtime.device import on_device
 from godfit.runtime.program_cache import cached_jit
-from godfit.scattering.upsample import Texels
+from godfit.scattering.upsample import Texels, is_larger
 
 SEARCH_SIZE = 1024
 """Pixels a side to which larger pictures are reduced for the search: coordinates do not depend on
@@ -203,6 +203,15 @@ class Picture:
     @property
     def size(self) -> tuple[int, int]:
         return self.levels.shape[0], self.levels.shape[1]
+
+    def pass_size(self, model: AbstractModel) -> tuple[int, int]:
+        """(h, w) of the light pass: a larger mask is read by a pass of the picture's size."""
+        low = self.mask.shape[0], self.mask.shape[1]
+        return self.size if model.reads_between or is_larger(low, self.size) else low
+
+    def independent(self, model: AbstractModel) -> float:
+        """Share of the pixels that are independent: those of an upsampled pass share its texels."""
+        return float(np.prod(self.pass_size(model)) / np.prod(self.size))
 
     @property
     def channels(self) -> int:
@@ -401,7 +410,7 @@ class Picture:
 
 def _texels(pixels: np.ndarray, size: tuple[int, int], mask: np.ndarray) -> Texels | None:
     low = mask.shape[0], mask.shape[1]
-    return None if low == size else Texels.of(pixels, size, low)
+    return None if low == size or is_larger(low, size) else Texels.of(pixels, size, low)
 
 
 def render(

@@ -121,13 +121,8 @@ def checked_picture(
         )
     values = shrink_mask(values, pass_scale)
     (h, w), (height, width) = values.shape[:2], size
-    if h > height or w > width:
-        raise InputError(
-            f"mask: expected at most the target's {width}x{height} pixels, got {w}x{h}; "
-            "scale the mask down or give the target at full size"
-        )
     # A pass at a fraction of an odd size is rounded to whole pixels: one pixel either way.
-    if abs(w * height - h * width) > max(width, height):
+    if abs(w * height - h * width) > max(width, height, w, h):
         raise InputError(
             f"mask: expected the target's aspect {width}:{height}, got {w}:{h}; "
             "crop or render the mask for the same frame"

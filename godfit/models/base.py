@@ -118,6 +118,12 @@ class AbstractModel(eqx.Module):
         return self, mask
 
     @property
+    def reads_between(self) -> bool:
+        """Whether the light pass has the image's size where the mask is smaller, and reads the mask
+        between its texels."""
+        return False
+
+    @property
     def walk(self) -> Taps | None:
         """The taps to which a shader walks along the ray, None where there is no such walk."""
         return None

@@ -97,6 +97,7 @@ def mitchell_at(
         light,
         shader.name,
         model.samples,
+        settings.get("full_size", False),
     )
 
 

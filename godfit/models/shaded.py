@@ -39,5 +39,9 @@ class AbstractShaded(AbstractModel):
         return self.shading.taps
 
     @property
+    def reads_between(self) -> bool:
+        return self.shading.full_size
+
+    @property
     def walk(self) -> Taps | None:
         return self.shading.walk

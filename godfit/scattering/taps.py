@@ -117,7 +117,8 @@ class Convention:
     on 1 - M, one after another, and its light pass is E (1 - result). ``blend`` is how the light
     pass L is composited onto the background B: ``"add"`` is background_gain * B + L, ``"screen"``
     is B + L - B L. ``pass_scale`` is the size of the light pass relative to the picture, where
-    nothing else is known.
+    nothing else is known. ``half_floats`` is whether mask and light pass are stored in these, and
+    not in bytes.
 
     ``defaults`` are the published default parameters by name, none where none are published.
     ``density_slider`` is where the slider of density ends in the published program, None where
@@ -139,6 +140,7 @@ class Convention:
     background_gain: float = 1.0
     density_slider: float | None = None
     pass_scale: float = 1.0
+    half_floats: bool = False
     remarks: str = ""
 
     def taps(
@@ -238,6 +240,7 @@ CONVENTIONS: dict[str, Convention] = {
             own=0.0,
             defaults=_defaults(0.6, 0.9, 0.96, 0.4, 60),
             blend="screen",
+            half_floats=True,
             remarks="GodRaysEffect; no own-pixel tap: only exposure*weight is determined",
         ),
         Convention(

@@ -113,7 +113,7 @@ def _posterior(result: FitResult, draws: int, warm_up: int, seed: int) -> Poster
     rows = jnp.asarray((root / scale[moving, None]).T @ tangent.jacobian[moving], jnp.float32)
     lower, upper = ((np.asarray(b) - z)[moving] for b in model.bounds())
     # The pixels of an upsampled pass share its texels.
-    share = float(np.prod(picture.mask.shape[:2]) / np.prod(picture.size))
+    share = picture.independent(model)
     floor = float(SIGMAS[0])
     start = float(np.log(max(result.noise_levels, floor) / floor))
     # The standard error of the logarithm of the noise from n values.

@@ -86,7 +86,7 @@ def _interval(result: FitResult, name: str) -> tuple[float, float]:
     row, best = model.parameters[name], result.params[name].value
     observation = picture.observe(pixels_used(picture, result.seed))
     # The pixels of an upsampled pass share its texels.
-    share = float(np.prod(picture.mask.shape[:2]) / np.prod(picture.size))
+    share = picture.independent(model)
     line = _ProfileLine(result, observation, index)
     low, high = (
         _end(line.on_tangent, best, way * line.stderr, bound, share, TANGENT_TRIES)
