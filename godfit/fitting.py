@@ -19,6 +19,7 @@ from godfit.errors import InputError, Remark
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.fit_setup import prepare_fit
 from godfit.inference.fitted import Found
+from godfit.inference.prior import Prior, check_prior
 from godfit.inference.problem import MAX_VALUES, Problem, checked_picture, given_and_held
 from godfit.inference.strategy import Effort, left_open, refined_mask, search
 from godfit.io.image import Image
@@ -63,6 +64,7 @@ def fit(
     distance: float | np.ndarray | None = None,
     fix: Mapping[str, float | None] | Sequence[str] | None = None,
     start: Mapping[str, float] | None = None,
+    prior: Prior | None = None,
     valid: np.ndarray | None = None,
     transfer: str = "none",
     arithmetic: str | None = None,
@@ -109,6 +111,8 @@ def fit(
     - `fix`: parameters held, at a value or (None) at the start or the shader's default; names alone
       are held there too.
     - `start`: parameters to start from. None is needed.
+    - `prior`: (mean, standard deviation) of parameters that are known beforehand, by name: each is
+      one more Gaussian row of the likelihood.
     - `valid`: (h, w), False where the target is to be ignored.
     - `transfer`: `"none"` or `"srgb"`, how the target (and the background) were encoded.
     - `arithmetic`: `"gpu"`, in which a shader walks to the light in float32, or `"exact"`; errors
@@ -132,7 +136,7 @@ def fit(
             target=target, mask=mask, scene=scene, canvas=canvas, model=model, free=tuple(free),
             background=background, occluder=occluder, bright_pass=bright_pass, shader=shader,
             samples=samples, rays=rays, lights=lights, pass_scale=pass_scale, fov=fov,
-            distance=distance, fix=fix, start=start, valid=valid, transfer=transfer,
+            distance=distance, fix=fix, start=start, prior=prior, valid=valid, transfer=transfer,
             arithmetic=arithmetic, channels=channels, inquire=inquire, max_values=max_values,
             seed=seed, progress=progress,
         ).checked()  # fmt: skip
@@ -259,8 +263,15 @@ def _pose(request: Request) -> Posed:
     images = {role: dataclasses.replace(im, values=NO_VALUES) for role, im in images.items()}
     given, held = given_and_held(model, request.held_at, start)
     free = np.isnan(held) & model.used
+    prior = request.prior or {}
+    check_prior(prior, model, held)
+    notes += tuple(
+        Remark(f"prior: {name} = {mean:.6g} +- {sigma:.2g}", "prior")
+        for name, (mean, sigma) in prior.items()
+    )
     assert scene is None or isinstance(scene, Scene)
-    return Posed(Problem(model, picture, free, held, request.seed), given, notes, images, scene)
+    problem = Problem(model, picture, free, held, request.seed, prior=prior)
+    return Posed(problem, given, notes, images, scene)
 
 
 def _mask_of(scene: Scene, model: AbstractModel, moves: bool) -> np.ndarray:

@@ -15,6 +15,7 @@ from godfit.errors import InputError
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.model import Flatland
 from godfit.inference.observation import ARITHMETICS
+from godfit.inference.prior import Prior
 from godfit.inference.problem import MAX_VALUES
 from godfit.io.image import Image
 from godfit.io.sources import Source
@@ -49,6 +50,7 @@ class Request:
     distance: float | np.ndarray | None = None
     fix: Mapping[str, float | None] | Sequence[str] | None = None
     start: Mapping[str, float] | None = None
+    prior: Prior | None = None
     valid: np.ndarray | None = None
     transfer: str = "none"
     arithmetic: str | None = None
@@ -108,6 +110,8 @@ class Request:
             raise InputError("fit: expected a mask or a scene, got both")
         elif self.mask is None and self.scene is None:
             self._check_bare()
+        if self.prior and self.bare:
+            raise InputError("prior: expected a mask, a scene or a canvas with it, got none")
         if self.bright_pass and not self.bare:
             raise InputError("bright pass: expected no mask, scene or canvas with it, got one")
         for role in ("mask", "background"):

@@ -161,6 +161,23 @@ def assignments(
     return found
 
 
+def measurements(
+    context: click.Context, option: click.Parameter, values: tuple[str, ...]
+) -> dict[str, tuple[float, float]]:
+    """``NAME=VALUE+-SIGMA`` texts as a dictionary of pairs."""
+    found: dict[str, tuple[float, float]] = {}
+    for text in values:
+        name, _, numbers = text.partition("=")
+        value, _, sigma = numbers.partition("+-")
+        try:
+            found[name] = float(value), float(sigma)
+        except ValueError:
+            raise click.BadParameter(
+                f"expected NAME=VALUE+-SIGMA with two numbers, got '{text}'"
+            ) from None
+    return found
+
+
 def is_whole(text: str) -> bool:
     """Whether a text is a whole number of a size that pixels have."""
     return re.fullmatch(r"\s*[-+]?[0-9]{1,15}\s*", text) is not None

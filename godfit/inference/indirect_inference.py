@@ -98,7 +98,8 @@ def corrected(found: Found) -> Found:
     problem, settled = found.problem, found.settled
     picture, free = problem.picture, problem.free
     process = process_of(picture, problem.model, settled.sigma)
-    if process is None or not free.any():
+    # Estimates that priors pull have no bias of the processing alone.
+    if process is None or not free.any() or problem.prior:
         return found
     bounds = [np.asarray(b, np.float64) for b in problem.model.bounds()]
     first = settled.coordinates.astype(np.float64)

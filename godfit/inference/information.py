@@ -136,6 +136,10 @@ def evidence(settled: Settled, tangent: Tangent, observation: Observation) -> Ev
     curvature, scores, blunt, gradient = (
         np.sum([part[i] for part in parts], 0, np.float64) for i in range(4)
     )
+    if tangent.prior is not None:
+        known = tangent.prior.information
+        curvature, scores, blunt = curvature + known, scores + known, blunt + known
+        gradient = gradient + tangent.prior.slope
     # Summed in scaled coordinates, where float32 holds all entries alike.
     size = np.outer(tangent.scale, tangent.scale).astype(np.float64)
     return Evidence(

@@ -90,6 +90,7 @@ def settle(
         sigma, likelihood = best_sigma(
             tangent.prediction, observation, FINAL_SIGMA_VALUES, settled.sigma
         )
+        likelihood += tangent.log_prior
         settled = settled._replace(sigma=sigma, log_likelihood=likelihood)
     return settled, tangent
 
@@ -100,7 +101,7 @@ def _in_rounds(start, problem, observation, rounds, known, spot_checks) -> tuple
 
     tangent = known.pop() if known else render(start)
     sigma, likelihood = best_sigma(tangent.prediction, observation)
-    best = Settled(start, sigma, likelihood, False)
+    best = Settled(start, sigma, likelihood + tangent.log_prior, False)
     part = 1.0
     many = len(observation.pixels) > CHEAP_PIXELS
     kinked = (problem.model.banded or observation.foreign) and many
@@ -122,6 +123,7 @@ def _in_rounds(start, problem, observation, rounds, known, spot_checks) -> tuple
             tangent = None
         there = render(z)
         sigma, likelihood = best_sigma(there.prediction, observation, near=goal.sigma)
+        likelihood += there.log_prior
         gained = likelihood - best.log_likelihood
         done = abs(gained) < short / 8
         if gained > 0:
@@ -210,12 +212,12 @@ def aim(
             part = tangent.only(rows)
             some = None if own is None else own[rows]
             intervals = Intervals(lo[rows], hi[rows], observation.foreign, some)
-        moved = part.moved(z - at.coordinates)
-        there = solve_tangent(
-            z, problem, part._replace(prediction=moved), intervals, sigma
-        ).coordinates
-        moved = tangent.moved(there - at.coordinates)
+        moved = part.shifted(z - at.coordinates)
+        there = solve_tangent(z, problem, moved, intervals, sigma).coordinates
+        shifted = tangent.shifted(there - at.coordinates)
+        moved, log_prior = shifted.prediction, shifted.log_prior
         likeliest_sigma, new_likelihood = best_sigma(moved, observation, near=sigma)
+        new_likelihood += log_prior
         if rows is not None and new_likelihood < likelihood:
             if np.abs(moved - levels).max() < NO_MOVE * sigma:
                 break
@@ -227,7 +229,8 @@ def aim(
             break
     if likelihood <= at.log_likelihood:
         return at._replace(quiet=True), tangent
-    return Settled(z, sigma, likelihood, True), tangent._replace(prediction=levels)
+    at_goal = tangent.shifted(z - at.coordinates)
+    return Settled(z, sigma, likelihood, True), at_goal._replace(prediction=levels)
 
 
 def _slack(prediction: np.ndarray, lo: np.ndarray, hi: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float
 from godfit.inference.likelihood import deviance_residuals, interval
 from godfit.inference.noise import noise_of
 from godfit.inference.observation import Observation
+from godfit.inference.prior import PriorRows, prior_rows
 from godfit.inference.problem import Problem
 from godfit.models.base import AbstractModel, Values, Vector
 from godfit.runtime.blas import one_thread
@@ -65,15 +66,27 @@ class Stop(NamedTuple):
 
 
 class Tangent(NamedTuple):
-    """The model about a point: levels (m,), derivatives (p, m) by coordinates over ``scale``."""
+    """The model about a point: levels (m,), derivatives (p, m) by coordinates over ``scale``, and
+    the rows of priors, None without any."""
 
     prediction: np.ndarray
     jacobian: np.ndarray
     scale: np.ndarray
+    prior: PriorRows | None = None
 
     def only(self, rows: np.ndarray) -> Tangent:
         """The tangent of some of the levels."""
-        return Tangent(self.prediction[rows], self.jacobian[:, rows], self.scale)
+        return self._replace(prediction=self.prediction[rows], jacobian=self.jacobian[:, rows])
+
+    def shifted(self, by: np.ndarray) -> Tangent:
+        """The tangent at coordinates that differ ``by`` (p,)."""
+        prior = None if self.prior is None else self.prior.moved(by / self.scale)
+        return self._replace(prediction=self.moved(by), prior=prior)
+
+    @property
+    def log_prior(self) -> float:
+        """The logarithm of the priors' density at the point, 0 without any."""
+        return 0.0 if self.prior is None else self.prior.log_density
 
     def moved(self, by: np.ndarray) -> np.ndarray:
         """(m,) levels at coordinates that differ ``by`` (p,)."""
@@ -97,7 +110,8 @@ def tangent_at(coordinates: np.ndarray, problem: Problem, observation: Observati
     # Noise has no part in a rendering, and would make another program of it.
     plain = observation.with_noise(None)
     prediction, jacobian = linearise(coordinates, problem.held, scale, problem.model, plain)
-    return Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
+    prior = prior_rows(problem.prior, problem.model, problem.held, coordinates, scale)
+    return Tangent(np.asarray(prediction), np.asarray(jacobian), scale, prior)
 
 
 @cached_jit
@@ -231,7 +245,7 @@ def solve_tangent(
     intervals and steep outside. It is projected onto the bounds: a coordinate on its bound with a
     slope outwards stays there (Bertsekas, SIAM J. Control Optim. 20 (1982), 221).
     """
-    prediction, jacobian, scale = tangent
+    prediction, jacobian, scale, prior = tangent
     lo, hi, foreign, own_noise = intervals
     free = problem.free
     levels, slopes, lower_ends, upper_ends = (on_device(z) for z in (prediction, jacobian, lo, hi))
@@ -244,12 +258,17 @@ def solve_tangent(
     rounding = width[np.isfinite(width)].max(initial=0) ** 2 / 12
     # The identity on top holds coordinates that the picture does not determine.
     least_squares = np.asarray(_gram(slopes), np.float64) / (sigma**2 + rounding)
+    if prior is not None:
+        least_squares += prior.information
     regular, size = 1.0, np.sqrt(np.diag(least_squares) + 1)
 
     def at(step):
         found = _on_tangent(step.astype(np.float32), *values)
         found = np.asarray(found, np.float64)
-        return found[0, 0], found[1], found[2:]
+        if prior is None:
+            return found[0, 0], found[1], found[2:]
+        row = prior.moved(step)
+        return found[0, 0] + row.log_density, found[1] + row.slope, found[2:] + row.information
 
     step, damping, settled, steps = np.zeros(len(start)), FIRST_DAMPING, False, 0
     likelihood, slope, curvature = at(step)

@@ -98,6 +98,7 @@ def fit_record(result: FitResult, command: str = "") -> dict[str, Any]:
         "pass_scale": result.pass_scale,
         "transfer": result.picture.transfer,
         "arithmetic": result.picture.arithmetic,
+        "prior": {n: {"value": v, "sigma": s} for n, (v, s) in result.prior.items()},
         "pixels": result.pixels,
         "pixels_effective": round(result.pixels_effective, 1),
         "starts_agreed": result.starts_agreed,

@@ -157,6 +157,7 @@ def verdict(
         starts_agreed=found.starts_agreed,
         simulated=found.scatter is not None,
         pass_scale=found.pass_scale,
+        prior=problem.prior,
         inputs=files,
     )
 

@@ -64,9 +64,8 @@ def _(model: AbstractModel, problem: Problem, given: dict[str, float], effort: E
 @left_open.register
 def _(model: Mitchell, problem: Problem) -> Open | None:
     """Where no pixel shows its own value, exposure and weight act only through their product."""
-    if model.convention.own_pixel or not (
-        problem.is_free("exposure") and problem.is_free("weight")
-    ):
+    both_free = problem.is_free("exposure") and problem.is_free("weight")
+    if model.convention.own_pixel or not both_free or {"exposure", "weight"} & set(problem.prior):
         return None
     return Open("exposure", ("weight",))
 

@@ -85,6 +85,10 @@ def posterior(
     require()
     if result.picture.foreign:
         raise InputError("posterior: expected a fit with a mask or a scene, got neither; give one")
+    if result.prior:
+        raise InputError(
+            "posterior: expected a fit without priors, got one with them; leave them out"
+        )
     if result.simulated:
         raise InputError(LIKELIHOOD_INCOMPLETE.format("posterior"))
     if not result.converged:

@@ -66,6 +66,10 @@ def check(result: FitResult, name: str) -> None:
     """Raise InputError for a parameter that has no interval."""
     if result.picture.foreign:
         raise InputError("profile: expected a fit with a mask or a scene, got neither; give one")
+    if result.prior:
+        raise InputError(
+            "profile: expected a fit without priors, got one with them; leave them out"
+        )
     if result.simulated:
         raise InputError(LIKELIHOOD_INCOMPLETE.format("profile"))
     if name not in result.params:
