@@ -9,7 +9,8 @@ an error d of a texel shifts the coordinates by
 where A^T carries a picture back to the mask. One texel throws a streak over many pixels, which all
 err together, and the shifts of all texels add in variance. Texels amid equal ones were rounded
 alike: those of one value have one error. Black and white are exact: they are what the mask was
-cleared to and drawn with.
+cleared to and drawn with. Next to a grey texel they may be the end of a blur, less than half a
+level away and all to the same side. Those have one error too.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy import ndimage
 
 from godfit.inference.fitted import Found
 from godfit.inference.likelihood import interval
@@ -45,7 +47,9 @@ def rounded_texels(picture: Picture, model: AbstractModel) -> np.ndarray | None:
     if not model.convention.half_floats or not np.allclose(mask * LEVELS, levels, atol=1e-3):
         return None
     grey = (levels > 0) & (levels < LEVELS)
-    return np.where(grey, np.float32(TEXEL_VARIANCE), np.float32(0)) if grey.any() else None
+    around = np.ones((3, 3, *[1] * (mask.ndim - 2)), bool)
+    unsure = ndimage.binary_dilation(grey, around)
+    return np.where(unsure, np.float32(TEXEL_VARIANCE), np.float32(0)) if grey.any() else None
 
 
 def with_mask_shifts(found: Found) -> Found:
@@ -90,7 +94,7 @@ def _scaled(covariance: np.ndarray) -> np.ndarray:
 def pull_covariance(mask: np.ndarray, variance: np.ndarray, texels: np.ndarray) -> np.ndarray:
     """(p, p) covariance of the likelihood's slope by the coordinates, from its slopes ``texels``
     (p, h, w, ...) by each texel and the ``variance`` of these. Texels whose neighbours are all
-    equal err together with others of their value."""
+    equal, or that are black or white, err together with others of their value."""
     channels = np.atleast_3d(mask)
     slopes = texels.reshape(len(texels), *channels.shape).astype(np.float64)
     spread = variance.reshape(channels.shape)
@@ -105,7 +109,8 @@ def pull_covariance(mask: np.ndarray, variance: np.ndarray, texels: np.ndarray) 
                 ends[axis] = side
                 flat &= np.pad(same, ends, constant_values=True)
         known = spread[..., c].reshape(-1)
-        flat = flat.reshape(-1) & (known > 0)
+        ends_of_scale = (values == 0) | (values == 1)
+        flat = (flat | ends_of_scale).reshape(-1) & (known > 0)
         alone = each[:, ~flat] * np.sqrt(known[~flat])
         total += alone @ alone.T
         level = np.rint(values.reshape(-1)[flat] * LEVELS).astype(int)

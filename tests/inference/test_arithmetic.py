@@ -169,8 +169,8 @@ def test_texels_of_one_flat_value_err_together():
 
 
 def test_masks_of_bytes_are_rounded_where_the_pass_read_half_floats():
-    values = np.array([[0, 1], [0.5, 100 / 255]], np.float32)
-    target = read_source(np.zeros((2, 2), np.uint8), "none")
+    values = np.array([[0, 0, 0], [0, 0, 0.5], [1, 1, 100 / 255]], np.float32)
+    target = read_source(np.zeros((3, 3), np.uint8), "none")
 
     def variances(shader, mask, arithmetic=GPU):
         picture = dataclasses.replace(Picture.make(target, mask, None, None), arithmetic=arithmetic)
@@ -178,7 +178,8 @@ def test_masks_of_bytes_are_rounded_where_the_pass_read_half_floats():
 
     grey = np.round(values * 255) / 255
     known = variances("pmndrs", grey)
-    np.testing.assert_array_equal(known > 0, [[False, False], [True, True]])
+    # Black and white next to grey may be the end of a blur.
+    np.testing.assert_array_equal(known > 0, [[0, 1, 1], [0, 1, 1], [0, 1, 1]])
     assert variances("dawntime", grey) is None
     assert variances("pmndrs", grey, EXACT) is None
     assert variances("pmndrs", np.round(values)) is None
