@@ -62,6 +62,9 @@ SAND_GIF_FRAME_STEPS = 4
 SAND_SCALE = 2
 """Pixels a cell of the sand, in its canvases."""
 
+EXACT_LINE = 'arithmetic = "exact"'
+"""Line of a side file: nothing but rounding is between a picture and the model."""
+
 Painter = Callable[[int, int], np.ndarray]
 """(height, width) -> the picture."""
 
@@ -203,7 +206,8 @@ def make_stage(folder: Path, name: str, stage: Stage) -> dict:
     write_image(folder / files["target"], image)
     settings = {"shader": stage.shader, "samples": stage.samples}
     side_file = f'scene = "{files["scene"]}"\n\n[scattering]\nshader = "{stage.shader}"\n'
-    atomic_write(folder / f"{name}.toml", f"{side_file}samples = {stage.samples}\n".encode())
+    side_file += f"samples = {stage.samples}\n{EXACT_LINE}\n"
+    atomic_write(folder / f"{name}.toml", side_file.encode())
     light = {key: round(value, 9) for key, value in light_on_screen(scene).items()}
     names = ("camera.position", "light.position", "light.radius", *stage.known)
     known = {key: np.asarray(scene.value(key)).tolist() for key in names}
@@ -322,7 +326,7 @@ def make_target(folder: Path, name: str, target: Target) -> dict:
     write_image(folder / files["target"], image)
 
     side_file = [f'{key} = "{files[key]}"' for key in files if key != "target"]
-    side_file += ["", "[scattering]", f'shader = "{shader}"', f"samples = {samples}"]
+    side_file += ["", "[scattering]", f'shader = "{shader}"', f"samples = {samples}", EXACT_LINE]
     side_file += [f"lights = {len(lights)}"] if len(lights) > 1 else []
     atomic_write(folder / f"{name}.toml", ("\n".join(side_file) + "\n").encode())
     light_names = [row.name for row in light_parameters(len(lights))]

@@ -19,6 +19,7 @@ from godfit.errors import InputError, Remark
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.fit_setup import prepare_fit
 from godfit.inference.fitted import Found
+from godfit.inference.prior import Prior, check_prior
 from godfit.inference.problem import MAX_VALUES, Problem, checked_picture, given_and_held
 from godfit.inference.strategy import Effort, left_open, refined_mask, search
 from godfit.io.image import Image
@@ -65,8 +66,10 @@ def fit(
     distance: float | np.ndarray | None = None,
     fix: Mapping[str, float | None] | Sequence[str] | None = None,
     start: Mapping[str, float] | None = None,
+    prior: Prior | None = None,
     valid: np.ndarray | None = None,
     transfer: str = "none",
+    arithmetic: str | None = None,
     channels: int | None = None,
     inquire: bool = True,
     max_values: int = MAX_VALUES,
@@ -110,8 +113,13 @@ def fit(
     - `fix`: parameters held, at a value or (None) at the start or the shader's default; names alone
       are held there too.
     - `start`: parameters to start from. None is needed.
+    - `prior`: (mean, standard deviation) of parameters that are known beforehand, by name: each is
+      one more Gaussian row of the likelihood.
     - `valid`: (h, w), False where the target is to be ignored.
     - `transfer`: `"none"` or `"srgb"`, how the target (and the background) were encoded.
+    - `arithmetic`: `"gpu"`, in which a shader walks to the light in float32, or `"exact"`; errors
+      allow for it, see `godfit.inference.arithmetic`. By default `"gpu"` for a target of bytes that
+      this program has not rendered, else `"exact"`.
     - `channels`: 3 counts every channel of a grey picture. That costs time and adds no information,
       but makes likelihoods comparable with those of models that are never grey.
     - `inquire`: where the residual is not noise, whether to try other starts, to correct the bias
@@ -130,9 +138,9 @@ def fit(
             target=target, mask=mask, scene=scene, canvas=canvas, model=model, free=tuple(free),
             background=background, occluder=occluder, bright_pass=bright_pass, shader=shader,
             samples=samples, rays=rays, lights=lights, pass_scale=pass_scale, fov=fov,
-            distance=distance, fix=fix, start=start, valid=valid, transfer=transfer,
-            channels=channels, inquire=inquire, max_values=max_values, seed=seed,
-            progress=progress,
+            distance=distance, fix=fix, start=start, prior=prior, valid=valid, transfer=transfer,
+            arithmetic=arithmetic, channels=channels, inquire=inquire, max_values=max_values,
+            seed=seed, progress=progress,
         ).checked()  # fmt: skip
         try:
             return _fit(request)
@@ -250,11 +258,20 @@ def _pose(request: Request) -> Posed:
             images["target"], images["mask"], images.get("background"), request.valid, pass_scale,
             request.channels or model.channels,
         )  # fmt: skip
+        if request.arithmetic is not None:
+            picture = dataclasses.replace(picture, arithmetic=request.arithmetic)
     images = {role: dataclasses.replace(im, values=NO_VALUES) for role, im in images.items()}
     given, held = given_and_held(model, request.held_at, start)
     free = np.isnan(held) & model.used
+    prior = request.prior or {}
+    check_prior(prior, model, held)
+    notes += tuple(
+        Remark(f"prior: {name} = {mean:.6g} +- {sigma:.2g}", "prior")
+        for name, (mean, sigma) in prior.items()
+    )
     assert scene is None or isinstance(scene, Scene)
-    return Posed(Problem(model, picture, free, held, request.seed), given, notes, images, scene)
+    problem = Problem(model, picture, free, held, request.seed, prior=prior)
+    return Posed(problem, given, notes, images, scene)
 
 
 def _mask_of(scene: Scene, model: AbstractModel, moves: bool) -> np.ndarray:
@@ -287,11 +304,13 @@ def _ready(request: Request) -> Posed:
 
 
 def _rival(request: Request, posed: Posed) -> Callable[[], Problem] | None:
-    """The same problem with a light pass of its shader's own scale, where nothing says which the
-    target has: neither an option nor a file, nor a mask smaller than the target."""
+    """The same problem with a light pass of another size, where nothing says which the target has.
+    With a mask of the target's size it is the shader's own; with a smaller mask, the target's."""
     model, picture = posed.problem.model, posed.problem.picture
     if not isinstance(model, Mitchell) or "pass_scale" in request.settings:
         return None
+    if picture.pass_size(model) != picture.size:
+        return lambda: posed.problem.replaced(model=dataclasses.replace(model, full_size=True))
     scale = model.convention.pass_scale
     if scale == 1 or picture.mask.shape[:2] != picture.size:
         return None

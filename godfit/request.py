@@ -14,6 +14,8 @@ import numpy as np
 from godfit.errors import InputError
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.model import Flatland
+from godfit.inference.observation import ARITHMETICS
+from godfit.inference.prior import Prior
 from godfit.inference.problem import MAX_VALUES
 from godfit.io.image import Image
 from godfit.io.sources import Source
@@ -48,8 +50,10 @@ class Request:
     distance: float | np.ndarray | None = None
     fix: Mapping[str, float | None] | Sequence[str] | None = None
     start: Mapping[str, float] | None = None
+    prior: Prior | None = None
     valid: np.ndarray | None = None
     transfer: str = "none"
+    arithmetic: str | None = None
     channels: int | None = None
     inquire: bool = True
     max_values: int = MAX_VALUES
@@ -88,6 +92,10 @@ class Request:
         """The request, with its scene loaded. Raises InputError for options that exclude each
         other."""
         check_model(self.kind, self.free, self.shader, self.lights, self.fov, self.distance)
+        if self.arithmetic not in (None, *ARITHMETICS):
+            raise InputError(
+                f"arithmetic: expected {' or '.join(ARITHMETICS)}, got '{self.arithmetic}'"
+            )
         if self.fix is not None and not isinstance(self.fix, Mapping):
             # Names alone are held where the search starts.
             names = [self.fix] if isinstance(self.fix, str) else list(self.fix)
@@ -102,6 +110,8 @@ class Request:
             raise InputError("fit: expected a mask or a scene, got both")
         elif self.mask is None and self.scene is None:
             self._check_bare()
+        if self.prior and self.bare:
+            raise InputError("prior: expected a mask, a scene or a canvas with it, got none")
         if self.bright_pass and not self.bare:
             raise InputError("bright pass: expected no mask, scene or canvas with it, got one")
         for role in ("mask", "background"):

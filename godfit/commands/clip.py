@@ -22,13 +22,13 @@ from godfit.io.frames import frames, is_video
 from godfit.io.sidecar import read_sidecar
 
 ACCEPTED = (
-    "shader", "samples", "pass_scale", "transfer", "fix", "start", "ignore", "mask", "scene",
-    "background",
+    "shader", "samples", "pass_scale", "transfer", "arithmetic", "fix", "start", "ignore", "mask",
+    "scene", "background",
 )  # fmt: skip
 """Options of ``godfit fit`` that frames take too."""
 OF_EACH_FRAME = ("mask", "scene", "background")
 """Options whose values may name a file for each frame."""
-OF_ALL_FRAMES = ("shader", "samples", "pass_scale", "transfer")
+OF_ALL_FRAMES = ("shader", "samples", "pass_scale", "transfer", "arithmetic")
 """Settings that all frames share."""
 
 

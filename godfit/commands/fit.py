@@ -11,7 +11,15 @@ import click
 from godfit.commands import STARTED
 from godfit.commands.clip import fit_frames
 from godfit.commands.lights import Lights, with_light
-from godfit.commands.options import BRIGHT_PASS, PICTURE, RESULT, Command, Run, assignments
+from godfit.commands.options import (
+    BRIGHT_PASS,
+    PICTURE,
+    RESULT,
+    Command,
+    Run,
+    assignments,
+    measurements,
+)
 from godfit.commands.study import (
     NOT_CONVERGED,
     opened,
@@ -55,6 +63,13 @@ if TYPE_CHECKING:
     metavar="NAME=VALUE",
     callback=assignments,
     help="Start the search of a parameter at a value.",
+)
+@click.option(
+    "--prior",
+    multiple=True,
+    metavar="NAME=VALUE+-SIGMA",
+    callback=measurements,
+    help="What is known of a parameter beforehand: its value and standard deviation.",
 )
 @click.option("--every", type=click.IntRange(1), help="Use every N-th frame of a clip.")
 @click.option(

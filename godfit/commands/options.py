@@ -85,6 +85,11 @@ PICTURE = combined(
         "vesper: 1 or .5]",
     ),
     click.option("--transfer", type=click.Choice(["none", "srgb"]), help="Encoding of the target."),
+    click.option(
+        "--arithmetic",
+        type=click.Choice(["gpu", "exact"]),
+        help="How the target was computed. [default: gpu for bytes that godfit has not rendered]",
+    ),
     click.option("--fov", type=float, help="Vertical field of view in degrees, without a scene."),
     click.option(
         "--distance", type=float, help="Distance of visible surfaces; with a scene, of the sky."
@@ -156,6 +161,23 @@ def assignments(
             found[name] = float(value)
         except ValueError:
             raise click.BadParameter(f"expected NAME=VALUE with a number, got '{text}'") from None
+    return found
+
+
+def measurements(
+    context: click.Context, option: click.Parameter, values: tuple[str, ...]
+) -> dict[str, tuple[float, float]]:
+    """``NAME=VALUE+-SIGMA`` texts as a dictionary of pairs."""
+    found: dict[str, tuple[float, float]] = {}
+    for text in values:
+        name, _, numbers = text.partition("=")
+        value, _, sigma = numbers.partition("+-")
+        try:
+            found[name] = float(value), float(sigma)
+        except ValueError:
+            raise click.BadParameter(
+                f"expected NAME=VALUE+-SIGMA with two numbers, got '{text}'"
+            ) from None
     return found
 
 

@@ -228,7 +228,7 @@ def render(mask: str, output: str, transfer: str, bits: str, **options: Any) -> 
         for name in given_options(options, FLATLAND_OPTIONS):
             raise click.UsageError(f"{spelled(name)}: expected --model flatland with it")
         image, transfer = on_screen(mask, recorded, transfer, options)
-    write_image(output, image, transfer=transfer, bits=int(bits))
+    write_image(output, image, transfer=transfer, bits=int(bits), exact=True)
     return 0
 
 

@@ -6,13 +6,10 @@ import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from godfit.inference.evaluate import model_at
-from godfit.models.base import AbstractModel, Vector
-from godfit.runtime.program_cache import cached_jit
+from godfit.inference.evaluate import model_at, parameters_at
+from godfit.models.base import AbstractModel
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,7 +61,7 @@ def estimates(model: AbstractModel, solution: Solution, used: np.ndarray) -> Est
     loose = np.where(np.isin(np.arange(len(names)), opened), np.nan, held).astype(np.float32)
     z = z.astype(np.float32)
     fitted = model_at(z, loose, model)
-    values, by_coordinate = _parameters(model, z, loose)
+    values, by_coordinate = parameters_at(model, z, loose)
     values, by_coordinate = np.asarray(values), np.asarray(by_coordinate, np.float64)
     covariance = by_coordinate @ spread @ by_coordinate.T
     combined = _combined(model.product, names, opened, values, covariance)
@@ -96,16 +93,6 @@ def estimates(model: AbstractModel, solution: Solution, used: np.ndarray) -> Est
 def held_at(held: np.ndarray, opened: list[int], values: np.ndarray) -> np.ndarray:
     """(p,) values at which parameters are held, the open ones included; NaN where free."""
     return np.where(np.isin(np.arange(len(held)), opened), values, held).astype(np.float32)
-
-
-@cached_jit
-def _parameters(model: AbstractModel, coordinates: Vector, held: Vector):
-    """Parameters (p,) at ``coordinates``, and their derivatives (p, p) by coordinate."""
-
-    def values(z):
-        return jnp.stack(list(model.moved(z, held).values().values()))
-
-    return values(coordinates), jax.jacfwd(values)(coordinates)
 
 
 def _combined(

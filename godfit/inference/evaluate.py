@@ -37,6 +37,16 @@ def coordinates_at(z, held, model):
 
 
 @cached_jit
+def parameters_at(model, z, held):
+    """Parameters (p,) at ``z``, and their derivatives (p, p) by coordinate."""
+
+    def values(z):
+        return jnp.stack(list(model.moved(z, held).values().values()))
+
+    return values(z), jax.jacfwd(values)(z)
+
+
+@cached_jit
 def predicted(z, held, model, observation):
     """(n c,) levels at the pixels of ``observation``, the channels of a pixel side by side."""
     return observation.predict(model.moved(z, held))

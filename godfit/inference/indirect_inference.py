@@ -66,7 +66,7 @@ def process_of(picture: Picture, model: AbstractModel, sigma: float) -> Process 
         if settings is None:
             return None
         return lambda at, rng: compressed(picture.rendered(at), *settings)
-    if picture.mask.shape[:2] != picture.size and isinstance(model, Mitchell):
+    if picture.pass_size(model) != picture.size and isinstance(model, Mitchell):
         return lambda at, rng: enlarged_bytes(picture, at, rng)
     return None
 
@@ -98,7 +98,8 @@ def corrected(found: Found) -> Found:
     problem, settled = found.problem, found.settled
     picture, free = problem.picture, problem.free
     process = process_of(picture, problem.model, settled.sigma)
-    if process is None or not free.any():
+    # Estimates that priors pull have no bias of the processing alone.
+    if process is None or not free.any() or problem.prior:
         return found
     bounds = [np.asarray(b, np.float64) for b in problem.model.bounds()]
     first = settled.coordinates.astype(np.float64)

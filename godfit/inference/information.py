@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from godfit.inference.likelihood import interval
+from godfit.inference.noise import noise_of
 from godfit.inference.observation import Observation
 from godfit.inference.settle import Settled
 from godfit.inference.solver import Intervals, Tangent
@@ -99,18 +100,20 @@ class Evidence(NamedTuple):
 
 @cached_jit
 def _evidence(prediction, jacobian, intervals, sigma, blunt_sigma):
-    lo, hi, foreign = intervals
+    lo, hi, foreign, own_noise = intervals
+    noise, blunt_noise = noise_of(sigma, own_noise), noise_of(blunt_sigma, own_noise)
 
-    def pixels(sigma):
-        return interval((lo - prediction) / sigma, (hi - prediction) / sigma, foreign)
+    def pixels(noise):
+        return interval((lo - prediction) / noise, (hi - prediction) / noise, foreign)
 
-    def curvature(pixel, sigma):
-        return (jacobian * (pixel.curvature / sigma**2)[None]) @ jacobian.T
+    def curvature(pixel, noise):
+        return (jacobian * (pixel.curvature / noise**2)[None]) @ jacobian.T
 
-    sharp = pixels(sigma)
-    slopes = jacobian * (sharp.slope / sigma)[None]
-    blunt = curvature(pixels(blunt_sigma), blunt_sigma)
-    return curvature(sharp, sigma), slopes @ slopes.T, blunt, slopes.sum(1), sharp.slope
+    sharp = pixels(noise)
+    score = sharp.slope / noise
+    slopes = jacobian * score[None]
+    blunt = curvature(pixels(blunt_noise), blunt_noise)
+    return curvature(sharp, noise), slopes @ slopes.T, blunt, slopes.sum(1), score * sigma
 
 
 def evidence(settled: Settled, tangent: Tangent, observation: Observation) -> Evidence:
@@ -121,7 +124,8 @@ def evidence(settled: Settled, tangent: Tangent, observation: Observation) -> Ev
     blunt_sigma = np.hypot(sigma, width[np.isfinite(width)].max(initial=0) / math.sqrt(12))
 
     def of(rows: slice) -> list[np.ndarray]:
-        intervals = Intervals(lo[rows], hi[rows], observation.foreign)
+        own = None if observation.own_noise is None else observation.own_noise[rows]
+        intervals = Intervals(lo[rows], hi[rows], observation.foreign, own)
         values = tangent.prediction[rows], tangent.jacobian[:, rows], intervals
         found = _evidence(*values, np.float32(sigma), np.float32(blunt_sigma))
         return [np.asarray(z) for z in found]
@@ -132,6 +136,10 @@ def evidence(settled: Settled, tangent: Tangent, observation: Observation) -> Ev
     curvature, scores, blunt, gradient = (
         np.sum([part[i] for part in parts], 0, np.float64) for i in range(4)
     )
+    if tangent.prior is not None:
+        known = tangent.prior.information
+        curvature, scores, blunt = curvature + known, scores + known, blunt + known
+        gradient = gradient + tangent.prior.slope
     # Summed in scaled coordinates, where float32 holds all entries alike.
     size = np.outer(tangent.scale, tangent.scale).astype(np.float64)
     return Evidence(

@@ -149,11 +149,11 @@ def log_likelihood(
     prediction: Float[Array, " n"],
     lo: Float[Array, " n"],
     hi: Float[Array, " n"],
-    sigma: Float[Array, ""],
+    sigma: Float[Array, "..."],
     foreign: float = 0.0,
 ) -> Float[Array, " n"]:
     """(n,) log-likelihood of every value, from ``lo`` to ``hi`` (n,) in levels with noise of
-    ``sigma`` levels; for points (lo = hi) that of the density."""
+    ``sigma`` levels, () or (n,); for points (lo = hi) that of the density."""
     log = interval((lo - prediction) / sigma, (hi - prediction) / sigma, foreign).log
     return jnp.where(lo == hi, log - jnp.log(sigma), log)
 

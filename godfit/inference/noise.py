@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -29,26 +30,32 @@ MIDDLE_SIGMA = float(np.sqrt(SIGMAS[0] * SIGMAS[-1]))
 """Level about which the coarsest grid is centred: the middle of SIGMAS on a logarithmic scale."""
 
 
-def _total(prediction, lo, hi, sigma, foreign):
-    return log_likelihood(prediction, lo, hi, sigma, foreign).sum()
+def noise_of(sigma: Any, own_noise: Any) -> Any:
+    """Noise of each value in levels, (m,): the common ``sigma`` and its own; () without that."""
+    return sigma if own_noise is None else (sigma * sigma + own_noise * own_noise) ** 0.5
+
+
+def _total(values, sigma, foreign):
+    prediction, lo, hi, own_noise = values
+    return log_likelihood(prediction, lo, hi, noise_of(sigma, own_noise), foreign).sum()
 
 
 @cached_jit
-def _likeliest(prediction, lo, hi, middle, first, last, part_of: int, foreign: float):
+def _likeliest(prediction, walls, middle, first, last, part_of: int, foreign: float):
     """Sigma, the log-likelihood of all values there, and whether the first grid had it inside."""
-    values = prediction, lo, hi
+    values = prediction, *walls
     sample = values
     if prediction.shape[0] > part_of:
         # Drawn at random: a regular stride would fall into step with the rows.
         part = np.random.default_rng(0).integers(0, prediction.shape[0], part_of)
-        sample = prediction[part], lo[part], hi[part]
+        sample = tuple(None if z is None else z[part] for z in values)
 
     def finer(k, state):
         middle, within = state
         step = math.log(SIGMA_RATIO) * 0.25 ** k.astype(middle.dtype)
         places = jnp.arange(len(SIGMAS)) - (len(SIGMAS) - 1) / 2
         sigmas = jnp.clip(middle * jnp.exp(step * places), SIGMAS[0], SIGMAS[-1])
-        found = jax.lax.map(lambda sigma: _total(*sample, sigma, foreign), sigmas)
+        found = jax.lax.map(lambda sigma: _total(sample, sigma, foreign), sigmas)
         at = jnp.argmax(jnp.where(jnp.isnan(found), -jnp.inf, found))
         inside = (at > 0) & (at < len(SIGMAS) - 1)
         before, here, after = found[at - 1], found[at], found[at + 1]
@@ -61,7 +68,7 @@ def _likeliest(prediction, lo, hi, middle, first, last, part_of: int, foreign: f
         return best, jnp.where(k == first, inside | (sigmas[at] <= SIGMAS[0]), within)
 
     sigma, within = jax.lax.fori_loop(first, last + 1, finer, (middle, jnp.bool_(True)))
-    return jnp.stack([sigma, _total(*values, sigma, foreign), within.astype(sigma.dtype)])
+    return jnp.stack([sigma, _total(values, sigma, foreign), within.astype(sigma.dtype)])
 
 
 def best_sigma(
@@ -81,7 +88,7 @@ def best_sigma(
     last = 2 if part_of == SIGMA_VALUES else 3
     first, middle = (0, MIDDLE_SIGMA) if near is None else (last - 1, near)
     found = _likeliest(
-        prediction, observation.lo, observation.hi, np.float32(middle),
+        prediction, (observation.lo, observation.hi, observation.own_noise), np.float32(middle),
         np.int32(first), np.int32(last), part_of, observation.foreign,
     )  # fmt: skip
     sigma, likelihood, within = (float(z) for z in np.asarray(found))
@@ -95,8 +102,5 @@ _total_at = cached_jit(_total)
 
 def log_likelihood_at(prediction: np.ndarray, observation: Observation, sigma: float) -> float:
     """Log-likelihood of all pixels."""
-    return float(
-        _total_at(
-            prediction, observation.lo, observation.hi, np.float32(sigma), observation.foreign
-        )
-    )
+    values = prediction, observation.lo, observation.hi, observation.own_noise
+    return float(_total_at(values, np.float32(sigma), observation.foreign))

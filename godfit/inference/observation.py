@@ -18,7 +18,7 @@ from godfit.io.image import LEVELS, Image, encode
 from godfit.models.base import AbstractModel
 from godfit.runtime.device import on_device
 from godfit.runtime.program_cache import cached_jit
-from godfit.scattering.upsample import Texels
+from godfit.scattering.upsample import Texels, is_larger
 
 SEARCH_SIZE = 1024
 """Pixels a side to which larger pictures are reduced for the search: coordinates do not depend on
@@ -36,6 +36,9 @@ BLUR_CLIPPED_SHARE = 0.01
 """Share of clipped pixels under the blur from which a blurred value is not used."""
 
 
+GPU, EXACT = "gpu", "exact"
+ARITHMETICS = (GPU, EXACT)
+"""How a target was computed: by the shader in the arithmetic of a GPU, or to rounding."""
 PLATEAU_PIXELS = 16
 """Pixels that share the largest level, at least, for it to be a plateau: fewer agree by chance."""
 PLATEAU_SHARE = {True: 2e-4, False: 1e-2}
@@ -61,6 +64,8 @@ class Observation(eqx.Module):
     foreign: float = eqx.field(static=True, default=0.0)
     # The texels that the pixels read of a light pass smaller than the picture, if they are few.
     texels: Texels | None = None
+    # Noise of each value in levels beside the common one, see ``arithmetic.py``; None without.
+    own_noise: Float[Array, " m"] | None = None
 
     def predict(self, model: AbstractModel) -> Float[Array, " m"]:
         """Levels of the model's image before rounding, (pixels x channels,)."""
@@ -75,14 +80,27 @@ class Observation(eqx.Module):
     def only(self, rows: np.ndarray) -> Observation:
         """The observation of those pixels that are in ``rows``."""
         pixels = np.asarray(self.pixels)[rows]
-        lo, hi = (np.asarray(z).reshape(-1, self.channels)[rows] for z in (self.lo, self.hi))
+        own = [] if self.own_noise is None else [self.own_noise]
+        lo, hi, *own = (
+            np.asarray(z).reshape(-1, self.channels)[rows].reshape(-1)
+            for z in (self.lo, self.hi, *own)
+        )
         return dataclasses.replace(
             self,
             pixels=on_device(pixels),
-            lo=on_device(lo.reshape(-1)),
-            hi=on_device(hi.reshape(-1)),
+            lo=on_device(lo),
+            hi=on_device(hi),
             whole=False,
             texels=_texels(pixels, self.size, np.asarray(self.mask)),
+            own_noise=on_device(own[0]) if own else None,
+        )
+
+    def with_noise(self, own_noise: np.ndarray | None) -> Observation:
+        """The same values with their own noise (m,) in levels, or without."""
+        if own_noise is None and self.own_noise is None:
+            return self
+        return dataclasses.replace(
+            self, own_noise=None if own_noise is None else on_device(own_noise)
         )
 
     def with_mask(self, mask: np.ndarray) -> Observation:
@@ -102,7 +120,8 @@ class Picture:
     below and above each value, (h, w, c), within which the true one lies, where that is not
     ``half`` everywhere. ``floor`` and ``ceiling``
     are the levels at which the target was clipped: None stands for the ends of the scale of a
-    target with levels, and for none of a target of floats.
+    target with levels, and for none of a target of floats. ``arithmetic`` is one of ARITHMETICS,
+    that of the program that drew the target.
     """
 
     levels: np.ndarray
@@ -115,6 +134,7 @@ class Picture:
     floor: float | None = None
     ceiling: float | None = None
     rounding: tuple[np.ndarray, np.ndarray] | None = None
+    arithmetic: str = EXACT
 
     @staticmethod
     def make(
@@ -146,7 +166,12 @@ class Picture:
                 for z in target.rounding
             )
             rounding = below, above
-        return Picture(levels, half, valid, mask, background, target.transfer, rounding=rounding)
+        # A GPU writes bytes; other depths come from programs that compute in full precision.
+        bytes_of_gpu = target.quantum == 1 / LEVELS and not target.exact
+        return Picture(
+            levels, half, valid, mask, background, target.transfer, rounding=rounding,
+            arithmetic=GPU if bytes_of_gpu else EXACT,
+        )  # fmt: skip
 
     @functools.cached_property
     def small(self) -> Picture:
@@ -178,6 +203,15 @@ class Picture:
     @property
     def size(self) -> tuple[int, int]:
         return self.levels.shape[0], self.levels.shape[1]
+
+    def pass_size(self, model: AbstractModel) -> tuple[int, int]:
+        """(h, w) of the light pass: a larger mask is read by a pass of the picture's size."""
+        low = self.mask.shape[0], self.mask.shape[1]
+        return self.size if model.reads_between or is_larger(low, self.size) else low
+
+    def independent(self, model: AbstractModel) -> float:
+        """Share of the pixels that are independent: those of an upsampled pass share its texels."""
+        return float(np.prod(self.pass_size(model)) / np.prod(self.size))
 
     @property
     def channels(self) -> int:
@@ -376,7 +410,7 @@ class Picture:
 
 def _texels(pixels: np.ndarray, size: tuple[int, int], mask: np.ndarray) -> Texels | None:
     low = mask.shape[0], mask.shape[1]
-    return None if low == size else Texels.of(pixels, size, low)
+    return None if low == size or is_larger(low, size) else Texels.of(pixels, size, low)
 
 
 def render(

@@ -13,6 +13,7 @@ import numpy as np
 from godfit.errors import InputError
 from godfit.inference.evaluate import model_at
 from godfit.inference.observation import Observation, Picture
+from godfit.inference.prior import Prior
 from godfit.io.image import Image
 from godfit.io.sources import shrink_mask
 from godfit.models.base import AbstractModel
@@ -32,7 +33,8 @@ class Problem:
     ``model`` gives the kind of model; its own parameters do not matter. ``free`` (p,) are the
     coordinates that may move, ``held`` (p,) the values of the parameters that may not, NaN where
     free. ``seed`` is that of the choice of pixels. ``most`` holds upper bounds, by name, that are
-    lower than the model's own: the range of a search. Coordinates and parameters have the same
+    lower than the model's own: the range of a search. ``prior`` holds what is known of parameters
+    beforehand. Coordinates and parameters have the same
     names and order.
     """
 
@@ -42,6 +44,7 @@ class Problem:
     held: np.ndarray
     seed: int = 0
     most: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    prior: Prior = dataclasses.field(default_factory=dict)
 
     @functools.cached_property
     def names(self) -> list[str]:
@@ -121,13 +124,8 @@ def checked_picture(
         )
     values = shrink_mask(values, pass_scale)
     (h, w), (height, width) = values.shape[:2], size
-    if h > height or w > width:
-        raise InputError(
-            f"mask: expected at most the target's {width}x{height} pixels, got {w}x{h}; "
-            "scale the mask down or give the target at full size"
-        )
     # A pass at a fraction of an odd size is rounded to whole pixels: one pixel either way.
-    if abs(w * height - h * width) > max(width, height):
+    if abs(w * height - h * width) > max(width, height, w, h):
         raise InputError(
             f"mask: expected the target's aspect {width}:{height}, got {w}:{h}; "
             "crop or render the mask for the same frame"

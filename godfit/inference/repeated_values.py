@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import ndtri
 
-from godfit.inference.noise import EXPLAINED, best_sigma
+from godfit.inference.arithmetic import with_arithmetic
+from godfit.inference.noise import EXPLAINED, best_sigma, noise_of
 from godfit.inference.observation import Observation
 from godfit.inference.problem import Problem
 from godfit.inference.settle import Settled, settle
@@ -38,7 +39,9 @@ def relieved(observation: Observation, prediction: np.ndarray, sigma: float) -> 
     lo, hi = np.array(observation.lo), np.array(observation.hi)
     slack = np.minimum(prediction - lo, hi - prediction)
     # Values that were never rounded have no interval.
-    near = np.flatnonzero((slack < PUSH_SPREADS * sigma) & (hi > lo))
+    own = observation.own_noise
+    noise = np.broadcast_to(noise_of(sigma, None if own is None else np.asarray(own)), lo.shape)
+    near = np.flatnonzero((slack < PUSH_SPREADS * noise) & (hi > lo))
     if not len(near):
         return observation
     level = np.rint(prediction[near].astype(np.float64) / SAME_LEVEL).astype(np.int64)
@@ -48,7 +51,7 @@ def relieved(observation: Observation, prediction: np.ndarray, sigma: float) -> 
     near, count = near[count >= REPEATED_VALUES], count[count >= REPEATED_VALUES]
     if not len(near):
         return observation
-    wider = -sigma * ndtri(-np.expm1(-np.log(2) / count)).astype(np.float32)
+    wider = -noise[near] * ndtri(-np.expm1(-np.log(2) / count)).astype(np.float32)
     lo[near] -= wider
     hi[near] += wider
     return eqx.tree_at(lambda s: (s.lo, s.hi), observation, (jnp.asarray(lo), jnp.asarray(hi)))
@@ -64,6 +67,7 @@ def counted_once(
     that it fits. ``known`` holds the tangent at ``start``, if there is one, and is emptied as in
     ``settle``."""
     tangent = known.pop() if known else tangent_at(start, problem, whole)
+    whole = with_arithmetic(whole, problem, start, tangent)
     sigma, _ = best_sigma(tangent.prediction, whole)
     settled, observation = Settled(start, sigma, -np.inf, False), None
     for _ in range(RELIEF_ROUNDS):

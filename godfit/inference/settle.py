@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from godfit.inference.noise import EXPLAINED, FINAL_SIGMA_VALUES, best_sigma
+from godfit.inference.noise import EXPLAINED, FINAL_SIGMA_VALUES, SIGMAS, best_sigma, noise_of
 from godfit.inference.observation import Observation
 from godfit.inference.problem import SEARCH_PIXELS, Problem
 from godfit.inference.solver import Intervals, Tangent, solve_tangent, tangent_at
@@ -90,6 +90,7 @@ def settle(
         sigma, likelihood = best_sigma(
             tangent.prediction, observation, FINAL_SIGMA_VALUES, settled.sigma
         )
+        likelihood += tangent.log_prior
         settled = settled._replace(sigma=sigma, log_likelihood=likelihood)
     return settled, tangent
 
@@ -100,7 +101,7 @@ def _in_rounds(start, problem, observation, rounds, known, spot_checks) -> tuple
 
     tangent = known.pop() if known else render(start)
     sigma, likelihood = best_sigma(tangent.prediction, observation)
-    best = Settled(start, sigma, likelihood, False)
+    best = Settled(start, sigma, likelihood + tangent.log_prior, False)
     part = 1.0
     many = len(observation.pixels) > CHEAP_PIXELS
     kinked = (problem.model.banded or observation.foreign) and many
@@ -122,6 +123,7 @@ def _in_rounds(start, problem, observation, rounds, known, spot_checks) -> tuple
             tangent = None
         there = render(z)
         sigma, likelihood = best_sigma(there.prediction, observation, near=goal.sigma)
+        likelihood += there.log_prior
         gained = likelihood - best.log_likelihood
         done = abs(gained) < short / 8
         if gained > 0:
@@ -193,36 +195,42 @@ def aim(
     """Where the tangent's likelihood is largest, with the tangent taken there."""
     z, sigma, likelihood = at.coordinates, at.sigma, at.log_likelihood
     lo, hi = np.asarray(observation.lo), np.asarray(observation.hi)
-    levels, slack = tangent.prediction, _slack(tangent.prediction, lo, hi)
+    own = None if observation.own_noise is None else np.asarray(observation.own_noise)
+    # Distances count in each value's own noise, which they push against.
+    wide = np.float32(1) if own is None else noise_of(SIGMAS[0], own) / SIGMAS[0]
+    levels, slack = tangent.prediction, _slack(tangent.prediction, lo, hi) / wide
     violated = None
     for _ in range(AIM_ROUNDS):
-        rows, part, walls = None, tangent, (observation.lo, observation.hi)
+        rows, part = None, tangent
+        intervals = Intervals(observation.lo, observation.hi, observation.foreign, own)
         if sigma < EXPLAINED:
             rows = _tightest(slack)
         if rows is not None:
             if violated is not None and np.array_equal(rows, violated):
                 # Many values are equal, and the same ones are chosen again and again.
                 break
-            part, walls = tangent.only(rows), (lo[rows], hi[rows])
-        moved = part.moved(z - at.coordinates)
-        intervals = Intervals(*walls, observation.foreign)
-        there = solve_tangent(
-            z, problem, part._replace(prediction=moved), intervals, sigma
-        ).coordinates
-        moved = tangent.moved(there - at.coordinates)
+            part = tangent.only(rows)
+            some = None if own is None else own[rows]
+            intervals = Intervals(lo[rows], hi[rows], observation.foreign, some)
+        moved = part.shifted(z - at.coordinates)
+        there = solve_tangent(z, problem, moved, intervals, sigma).coordinates
+        shifted = tangent.shifted(there - at.coordinates)
+        moved, log_prior = shifted.prediction, shifted.log_prior
         likeliest_sigma, new_likelihood = best_sigma(moved, observation, near=sigma)
+        new_likelihood += log_prior
         if rows is not None and new_likelihood < likelihood:
             if np.abs(moved - levels).max() < NO_MOVE * sigma:
                 break
             # Values that were left out are violated now: they are solved for from here on.
-            slack, violated = np.minimum(slack, _slack(moved, lo, hi)), rows
+            slack, violated = np.minimum(slack, _slack(moved, lo, hi) / wide), rows
             continue
         z, levels, before, sigma, likelihood = there, moved, sigma, likeliest_sigma, new_likelihood
         if abs(sigma - before) < SAME_SIGMA * before:
             break
     if likelihood <= at.log_likelihood:
         return at._replace(quiet=True), tangent
-    return Settled(z, sigma, likelihood, True), tangent._replace(prediction=levels)
+    at_goal = tangent.shifted(z - at.coordinates)
+    return Settled(z, sigma, likelihood, True), at_goal._replace(prediction=levels)
 
 
 def _slack(prediction: np.ndarray, lo: np.ndarray, hi: np.ndarray) -> np.ndarray:

@@ -13,7 +13,9 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
 from godfit.inference.likelihood import deviance_residuals, interval
+from godfit.inference.noise import noise_of
 from godfit.inference.observation import Observation
+from godfit.inference.prior import PriorRows, prior_rows
 from godfit.inference.problem import Problem
 from godfit.models.base import AbstractModel, Values, Vector
 from godfit.runtime.blas import one_thread
@@ -64,15 +66,27 @@ class Stop(NamedTuple):
 
 
 class Tangent(NamedTuple):
-    """The model about a point: levels (m,), derivatives (p, m) by coordinates over ``scale``."""
+    """The model about a point: levels (m,), derivatives (p, m) by coordinates over ``scale``, and
+    the rows of priors, None without any."""
 
     prediction: np.ndarray
     jacobian: np.ndarray
     scale: np.ndarray
+    prior: PriorRows | None = None
 
     def only(self, rows: np.ndarray) -> Tangent:
         """The tangent of some of the levels."""
-        return Tangent(self.prediction[rows], self.jacobian[:, rows], self.scale)
+        return self._replace(prediction=self.prediction[rows], jacobian=self.jacobian[:, rows])
+
+    def shifted(self, by: np.ndarray) -> Tangent:
+        """The tangent at coordinates that differ ``by`` (p,)."""
+        prior = None if self.prior is None else self.prior.moved(by / self.scale)
+        return self._replace(prediction=self.moved(by), prior=prior)
+
+    @property
+    def log_prior(self) -> float:
+        """The logarithm of the priors' density at the point, 0 without any."""
+        return 0.0 if self.prior is None else self.prior.log_density
 
     def moved(self, by: np.ndarray) -> np.ndarray:
         """(m,) levels at coordinates that differ ``by`` (p,)."""
@@ -81,19 +95,23 @@ class Tangent(NamedTuple):
 
 
 class Intervals(NamedTuple):
-    """Bounds ``lo`` (m,) and ``hi`` (m,) of values in levels, and the share ``foreign`` of them
-    that may have any level."""
+    """Bounds ``lo`` (m,) and ``hi`` (m,) of values in levels, the share ``foreign`` of them that
+    may have any level, and each value's ``own_noise`` (m,) in levels, None without."""
 
     lo: Values
     hi: Values
     foreign: float = 0.0
+    own_noise: Values | None = None
 
 
 def tangent_at(coordinates: np.ndarray, problem: Problem, observation: Observation) -> Tangent:
     """The tangent at a point: every pixel is rendered, with its derivatives."""
     scale = problem.model.scales(coordinates)
-    prediction, jacobian = linearise(coordinates, problem.held, scale, problem.model, observation)
-    return Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
+    # Noise has no part in a rendering, and would make another program of it.
+    plain = observation.with_noise(None)
+    prediction, jacobian = linearise(coordinates, problem.held, scale, problem.model, plain)
+    prior = prior_rows(problem.prior, problem.model, problem.held, coordinates, scale)
+    return Tangent(np.asarray(prediction), np.asarray(jacobian), scale, prior)
 
 
 @cached_jit
@@ -164,9 +182,10 @@ def _on_tangent(
     jacobian = jnp.asarray(jacobian)
     levels = jnp.asarray(prediction) + step @ jacobian
     low, high = (jnp.asarray(z) - levels for z in (intervals.lo, intervals.hi))
-    pixel = interval(low / sigma, high / sigma, intervals.foreign)
-    curvature = (jacobian * (pixel.curvature / sigma**2)[None]) @ jacobian.T
-    slope = jacobian @ (pixel.slope / sigma)
+    noise = noise_of(sigma, intervals.own_noise)
+    pixel = interval(low / noise, high / noise, intervals.foreign)
+    curvature = (jacobian * (pixel.curvature / noise**2)[None]) @ jacobian.T
+    slope = jacobian @ (pixel.slope / noise)
     # In one array: each transfer to the host takes as long as the computation.
     return jnp.concatenate([jnp.full_like(slope, pixel.log.sum())[None], slope[None], curvature])
 
@@ -226,23 +245,30 @@ def solve_tangent(
     intervals and steep outside. It is projected onto the bounds: a coordinate on its bound with a
     slope outwards stays there (Bertsekas, SIAM J. Control Optim. 20 (1982), 221).
     """
-    prediction, jacobian, scale = tangent
-    lo, hi, foreign = intervals
+    prediction, jacobian, scale, prior = tangent
+    lo, hi, foreign, own_noise = intervals
     free = problem.free
     levels, slopes, lower_ends, upper_ends = (on_device(z) for z in (prediction, jacobian, lo, hi))
-    values = levels, slopes, Intervals(lower_ends, upper_ends, foreign), np.float32(sigma)
+    own_noise = None if own_noise is None else on_device(own_noise)
+    walls = Intervals(lower_ends, upper_ends, foreign, own_noise)
+    values = levels, slopes, walls, np.float32(sigma)
     bounds = [np.asarray(b, np.float64) for b in problem.bounds]
     lower, upper = ((b - start) / scale for b in bounds)
     width = np.asarray(hi) - np.asarray(lo)
     rounding = width[np.isfinite(width)].max(initial=0) ** 2 / 12
     # The identity on top holds coordinates that the picture does not determine.
     least_squares = np.asarray(_gram(slopes), np.float64) / (sigma**2 + rounding)
+    if prior is not None:
+        least_squares += prior.information
     regular, size = 1.0, np.sqrt(np.diag(least_squares) + 1)
 
     def at(step):
         found = _on_tangent(step.astype(np.float32), *values)
         found = np.asarray(found, np.float64)
-        return found[0, 0], found[1], found[2:]
+        if prior is None:
+            return found[0, 0], found[1], found[2:]
+        row = prior.moved(step)
+        return found[0, 0] + row.log_density, found[1] + row.slope, found[2:] + row.information
 
     step, damping, settled, steps = np.zeros(len(start)), FIRST_DAMPING, False, 0
     likelihood, slope, curvature = at(step)
@@ -278,9 +304,10 @@ def solve_tangent(
 
 @cached_jit
 def _slope(prediction, jacobian, intervals, sigma):
-    lo, hi, foreign = intervals
-    pixel = interval((lo - prediction) / sigma, (hi - prediction) / sigma, foreign)
-    return -jacobian @ (pixel.slope / sigma)
+    lo, hi, foreign, own_noise = intervals
+    noise = noise_of(sigma, own_noise)
+    pixel = interval((lo - prediction) / noise, (hi - prediction) / noise, foreign)
+    return -jacobian @ (pixel.slope / noise)
 
 
 def _inside(start, problem, run, slope) -> Point:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from godfit.errors import InputError
-from godfit.io import checked_readers, readers
+from godfit.io import checked_readers, png_text, readers
 from godfit.io.readers import Reader
 from godfit.io.regular_files import read_regular
 from godfit.runtime.files import atomic_write
@@ -59,6 +59,8 @@ class Image:
     # How far below and above the stored value of short floats the true one may lie, float32 of the
     # shape of ``values``, encoded; None where ``quantum`` says it, and for float32.
     rounding: tuple[np.ndarray, np.ndarray] | None = None
+    # Whether the file says that its values are exact up to their rounding, see ``png_text.py``.
+    exact: bool = False
 
     @property
     def encoded(self) -> np.ndarray:
@@ -143,6 +145,7 @@ def read_layer(
     digest, notes = hashlib.sha256(data).hexdigest(), []
     try:
         codes, top, step = reader(data, notes, check_pixels)
+        exact = png_text.is_exact(data)
         del data  # up to a third of the memory in use
         values, quantum, alpha = _linear(codes, top, transfer, notes, finite)
         rounding = _rounding(codes, step, values)
@@ -150,16 +153,22 @@ def read_layer(
         raise InputError(f"{name!r} ({kind}): out of memory; expected a smaller image") from None
     except Exception as error:
         raise InputError(f"{name!r} ({kind}): {str(error) or type(error).__name__}") from error
-    return Image(values, quantum, transfer, name, digest, tuple(notes), rounding), alpha
+    return Image(values, quantum, transfer, name, digest, tuple(notes), rounding, exact), alpha
 
 
 def write_image(
-    path: str | os.PathLike[str], values: Any, *, transfer: str = "none", bits: int = 8
+    path: str | os.PathLike[str],
+    values: Any,
+    *,
+    transfer: str = "none",
+    bits: int = 8,
+    exact: bool = False,
 ) -> None:
     """Write linear (h, w) or (h, w, 3) values to .png (8 or 16 bits), .exr or .npy, whole or not at
     all.
 
-    PNG: encoded with the transfer, clipped to [0, 1], rounded half up to the nearest level.
+    PNG: encoded with the transfer, clipped to [0, 1], rounded half up to the nearest level. With
+    ``exact`` it says that nothing but this rounding is between its values and the model's.
     .exr and .npy: float32, linear, whatever the transfer. Raises InputError.
     """
     _checked_transfer(transfer)
@@ -201,7 +210,7 @@ def write_image(
                     np.uint8 if bits == 8 else np.uint16,
                 )
             )
-        atomic_write(name, bytes(data))
+        atomic_write(name, png_text.as_exact(bytes(data)) if exact else bytes(data))
     except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: libpng's
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{name!r}: cannot be written: {reason}") from error

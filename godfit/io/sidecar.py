@@ -16,6 +16,7 @@ SIDECAR_SCATTERING: dict[str, type] = {
     "lights": int,
     "pass_scale": float,
     "transfer": str,
+    "arithmetic": str,
     "model": str,
     "rays": int,
 }

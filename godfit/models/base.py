@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from godfit.scattering.parameters import Parameter
-from godfit.scattering.taps import Count
+from godfit.scattering.taps import Count, Taps
 from godfit.scattering.upsample import Texels
 
 Vector = Float[Array, " p"] | Float[np.ndarray, " p"]
@@ -116,6 +116,22 @@ class AbstractModel(eqx.Module):
     def notes(self, free: Sequence[str]) -> tuple[str, ...]:
         """Notes on the values of the parameters ``free``, for reports: none."""
         return ()
+
+    def flat(self, mask: Any) -> tuple[AbstractModel, Any]:
+        """A model whose ``light`` is a field of its own, and the mask that its taps read: this
+        one, and the mask that was given."""
+        return self, mask
+
+    @property
+    def reads_between(self) -> bool:
+        """Whether the light pass has the image's size where the mask is smaller, and reads the mask
+        between its texels."""
+        return False
+
+    @property
+    def walk(self) -> Taps | None:
+        """The taps to which a shader walks along the ray, None where there is no such walk."""
+        return None
 
     def occlusion(self, mask: Float[Array, "h w"]) -> Float[Array, "h w"]:
         """The mask that the light pass reads, from the mask that was given: the same."""

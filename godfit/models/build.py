@@ -97,6 +97,7 @@ def mitchell_at(
         light,
         shader.key,
         model.samples,
+        settings.get("full_size", False),
     )
 
 

@@ -21,7 +21,7 @@ from godfit.models.base import AbstractModel, Vector
 from godfit.scattering.parameters import Parameter, light_parameters
 from godfit.scattering.radial import radial_sum
 from godfit.scattering.radial.exact import at_run_time
-from godfit.scattering.taps import Count, averaging_taps
+from godfit.scattering.taps import Count, Taps, averaging_taps
 from godfit.scattering.upsample import Texels, at_pixels
 
 AIR_PARAMETERS = (
@@ -169,6 +169,10 @@ class HoffmanPreetham(AbstractModel):
         gain, depth, *_ = coordinates
         # In air as thin as none the scale is undetermined, and only the gain is known.
         return np.array([max(gain, 0.05), depth, 3.0, 0.5, 0.5, 0.5])
+
+    @property
+    def walk(self) -> Taps:
+        return averaging_taps(self.samples)
 
     def openness(
         self,

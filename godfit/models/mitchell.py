@@ -53,7 +53,8 @@ class Mitchell(AbstractModel):
 
     ``exposure``, ``decay``, ``density`` and ``weight`` are the shader's; ``light`` is (lights, 2)
     in texture coordinates. Several lights are a sum over lights. ``samples`` is an integer and is
-    not differentiated.
+    not differentiated. With ``full_size`` the light pass has the image's size where the mask is
+    smaller, and reads the mask between its texels.
 
     Fit coordinates (one for each parameter, in order): exposure; kappa = -samples ln(decay) /
     density, the attenuation for each unit of ray; density; gain = exposure weight samples /
@@ -73,8 +74,12 @@ class Mitchell(AbstractModel):
     light: Float[Array, "lights 2"]
     shader: str = eqx.field(static=True, default="mitchell")
     samples: Count = 100
+    full_size: bool = eqx.field(static=True, default=False)
 
-    def __init__(self, exposure, decay, density, weight, light, shader="mitchell", samples=None):
+    def __init__(
+        self, exposure, decay, density, weight, light, shader="mitchell", samples=None,
+        full_size=False,
+    ):  # fmt: skip
         self.exposure, self.decay = on_device(exposure, float), on_device(decay, float)
         self.density, self.weight = on_device(density, float), on_device(weight, float)
         self.light = on_device(light, float).reshape(-1, 2)
@@ -83,6 +88,7 @@ class Mitchell(AbstractModel):
         count = own.samples if samples is None else samples
         # The loops of sums that are no sequence of taps need a known number.
         self.samples = count if own.passes else at_run_time(count)
+        self.full_size = full_size
 
     @property
     def convention(self) -> Convention:
@@ -182,6 +188,14 @@ class Mitchell(AbstractModel):
         numbers = (self.exposure, self.decay, self.density, self.weight)
         return self.convention.taps(*numbers, self.samples)
 
+    @property
+    def reads_between(self) -> bool:
+        return self.full_size
+
+    @property
+    def walk(self) -> Taps | None:
+        return None if self.convention.box else self.taps[0]
+
     def light_pass(
         self,
         mask: Any,
@@ -234,9 +248,10 @@ class Mitchell(AbstractModel):
 
         - `mask`: (h, w) or (h, w, channels), linear; integers are levels.
         - `background`: the ordinary pass, (H, W) or (H, W, channels), or None for black.
-        - `size`: (H, W) of the image; by default the mask's. A smaller mask is a light pass at
-          lower resolution: it is rendered at the mask's size, clamped to [0, 1] as its 8-bit
-          texture is, and read bilinearly.
+        - `size`: (H, W) of the image; by default the mask's. A larger mask is read between its
+          texels. A smaller one is a light pass at lower resolution, unless `full_size`: it is
+          rendered at the mask's size, clamped to [0, 1] as its 8-bit texture is, and read
+          bilinearly.
         - `pixels`: (n,) row-major indices of the pixels wanted; by default all.
         - `texels`: the texels of a smaller light pass that these pixels need. Without it the
           whole light pass is rendered.
@@ -247,7 +262,7 @@ class Mitchell(AbstractModel):
         mask = as_light(mask, "mask")
         background = None if background is None else as_light(background, "background")
         light_pass = functools.partial(self.light_pass, method=method)
-        light = at_pixels(light_pass, mask, size, pixels, texels)
+        light = at_pixels(light_pass, mask, size, pixels, texels, self.full_size)
         return self.composite(light, background, pixels)
 
     def composite(

@@ -42,3 +42,11 @@ class AbstractShaded(AbstractModel):
     def taps(self) -> tuple[Taps, ...]:
         """The taps of each pass of the shader."""
         return self.shading.taps
+
+    @property
+    def reads_between(self) -> bool:
+        return self.shading.full_size
+
+    @property
+    def walk(self) -> Taps | None:
+        return self.shading.walk

@@ -7,7 +7,7 @@ of its place in the world, so that the rays and the shapes of a picture determin
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -154,12 +154,15 @@ class Staged(AbstractShaded):
     ) -> Float[Array, "..."]:
         """The image; see ``Mitchell.__call__``. Only the shape of ``mask`` counts: the scene is
         drawn at that size."""
+        lit, drawn = self.flat(mask)
+        return lit(drawn, background, size=size, pixels=pixels, texels=texels, method=method)
+
+    def flat(self, mask: Float[Array, "h w"] | Float[Array, "h w c"]) -> tuple[Mitchell, Any]:
         scene = self.staged()
         drawn = rasterise(resized(scene, (mask.shape[0], mask.shape[1])))
         # A light pass reads an 8-bit mask. The derivative is that of the mask before it is rounded.
         drawn = drawn + jax.lax.stop_gradient(jnp.round(255 * drawn) / 255 - drawn)
-        lit = eqx.tree_at(lambda m: m.light, self.shading, on_screen(scene)[None])
-        return lit(drawn, background, size=size, pixels=pixels, texels=texels, method=method)
+        return eqx.tree_at(lambda m: m.light, self.shading, on_screen(scene)[None]), drawn
 
     def _geometry(self) -> Float[Array, " g"]:
         """The free numbers of the scene, in its units."""

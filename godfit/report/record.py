@@ -69,7 +69,7 @@ FIT_SCHEMA: dict[str, Any] = {
         **{key: {"type": "integer", "minimum": 1, "maximum": 10**6} for key in ("samples", "rays")},
         "shader_definition": {"type": "object", "maxProperties": 64},
         **dict.fromkeys(("fov", "distance"), _NUMBER),
-        **dict.fromkeys(("size", "pass_size"), _SIDES),
+        **dict.fromkeys(("size", "pass_size", "mask_size"), _SIDES),
     },
 }
 """What is read from a fit.json, as JSON Schema (draft 2020-12)."""
@@ -97,9 +97,12 @@ def fit_record(result: FitResult, command: str = "") -> dict[str, Any]:
         "residual_tails": _finite(result.residual_tails),
         "log_likelihood": _finite(result.log_likelihood),
         "size": list(result.picture.size[::-1]),
-        "pass_size": list(result.picture.mask.shape[1::-1]),
+        "pass_size": list(result.picture.pass_size(model)[::-1]),
+        "mask_size": list(result.picture.mask.shape[1::-1]),
         "pass_scale": result.pass_scale,
         "transfer": result.picture.transfer,
+        "arithmetic": result.picture.arithmetic,
+        "prior": {n: {"value": v, "sigma": s} for n, (v, s) in result.prior.items()},
         "pixels": result.pixels,
         "pixels_effective": round(result.pixels_effective, 1),
         "starts_agreed": result.starts_agreed,
@@ -178,8 +181,8 @@ def read_record(path: str) -> dict[str, Any]:
 
 
 def read_params(path: str) -> dict[str, Any]:
-    """Shader, samples, size of the light pass (``pass_size`` in rows and columns) and parameters of
-    a fit.json."""
+    """Shader, samples, size of the light pass (``pass_size`` in rows and columns), whether it reads
+    a mask of another size (``full_size``), and parameters of a fit.json."""
     record = read_record(path)
     low = _pair(record, "pass_size")
     settings = {key: record[key] for key in MODEL_SETTINGS if record.get(key) is not None}
@@ -189,6 +192,7 @@ def read_params(path: str) -> dict[str, Any]:
         settings["shader"] = convention(from_definition(definition, path)).key
     return {
         **({} if low is None else {"pass_size": low}),
+        **({"full_size": True} if _pair(record, "mask_size") not in (None, low) else {}),
         **settings,
         **{name: entry["value"] for name, entry in record["params"].items()},
     }
@@ -243,7 +247,8 @@ def recorded(
     back = None if place is None else read_image(place, transfer=transfer).values
     default = occlusion.shape[:2] if back is None else back.shape[:2]
     size = _pair(record, "size") or (default[0], default[1])
-    low = _pair(record, "pass_size") or occlusion.shape[:2]
+    # What the light pass reads: a mask of its own size where nothing else is recorded.
+    low = _pair(record, "mask_size") or _pair(record, "pass_size") or occlusion.shape[:2]
     if low[0] > occlusion.shape[0] or low[1] > occlusion.shape[1]:
         h, w = occlusion.shape[:2]
         raise InputError(

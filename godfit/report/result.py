@@ -13,6 +13,7 @@ import numpy as np
 from godfit.inference.estimates import Estimate
 from godfit.inference.evaluate import occlusion_of
 from godfit.inference.observation import Picture
+from godfit.inference.prior import Prior
 from godfit.inference.problem import Problem
 from godfit.io.image import LEVELS, decode, write_image
 from godfit.models.base import AbstractModel
@@ -74,12 +75,13 @@ class FitResult:
     starts_agreed: tuple[int, int] | None = None
     simulated: bool = False
     pass_scale: float | None = None
+    prior: Prior = dataclasses.field(default_factory=dict)
     inputs: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
 
     @property
     def problem(self) -> Problem:
         """The problem that was solved, with the coordinates that the picture leaves open held."""
-        return Problem(self.model, self.picture, self.free, self.held, self.seed)
+        return Problem(self.model, self.picture, self.free, self.held, self.seed, prior=self.prior)
 
     @functools.cached_property
     def _levels(self) -> np.ndarray:
@@ -124,7 +126,7 @@ class FitResult:
         pictures that fail."""
 
         def render(path: Path) -> None:
-            write_image(path, self.render(), transfer=self.picture.transfer)
+            write_image(path, self.render(), transfer=self.picture.transfer, exact=True)
 
         record = ("fit.json", self.record(command))
         write_result(Path(folder), record, ("fit.png", self.plot), {"render.png": render})

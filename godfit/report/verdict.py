@@ -68,19 +68,23 @@ def spread(found: Found) -> Spread:
         known = found.evidence.covariance(found.problem.free)
         grown = _growth(found.scatter, known, found.problem.free)
         block = diagnostics.jpeg(found.problem.picture)
-        return Spread(found.scatter, grown, 1.0, [] if block is None else [block], residual_misfit)
+        scatter = found.scatter + _of_shifts(found)
+        return Spread(scatter, grown, 1.0, [] if block is None else [block], residual_misfit)
     # The pixels of an upsampled pass share its texels: they are no more independent than these.
-    upsampled = float(
-        np.prod(found.problem.picture.size) / np.prod(found.problem.picture.mask.shape[:2])
-    )
+    upsampled = 1 / found.problem.picture.independent(found.problem.model)
     covariance, growth, suspects = _correlated(
         found, found.evidence.covariance(found.problem.free), residual_misfit
     )
     covariance = covariance * max(1.0, upsampled / growth)
-    for shift in found.shifts:
-        covariance += np.outer(shift, shift)
+    covariance = covariance + _of_shifts(found)
     growth = max(growth, upsampled, found.problem.picture.repeats)
     return Spread(covariance, growth, upsampled, suspects, residual_misfit)
+
+
+def _of_shifts(found: Found) -> np.ndarray:
+    """(p, p) covariance of the coordinates by the shifts of the fit."""
+    shifts = np.reshape(found.shifts, (-1, len(found.problem.free)))
+    return shifts.T @ shifts
 
 
 def verdict(
@@ -153,6 +157,7 @@ def verdict(
         starts_agreed=found.starts_agreed,
         simulated=found.scatter is not None,
         pass_scale=found.pass_scale,
+        prior=problem.prior,
         inputs=files,
     )
 

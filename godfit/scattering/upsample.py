@@ -1,7 +1,8 @@
 """A light pass at the pixels of its image, which may be larger than the pass.
 
 A pass of the image's size is used as it is. A smaller one is clamped to [0, 1], as the texture of
-bytes that holds it is, and interpolated bilinearly.
+bytes that holds it is, and interpolated bilinearly. A pass of the image's size may read a mask of
+another size: its taps then lie between the mask's texels, and the mask is interpolated.
 """
 
 from __future__ import annotations
@@ -67,6 +68,7 @@ def at_pixels(
     size: tuple[int, int] | None,
     pixels: Int[Array, " n"] | None,
     texels: Texels | None = None,
+    full_size: bool = False,
 ) -> Float[Array, "..."]:
     """The light pass at ``pixels`` of an image.
 
@@ -74,14 +76,21 @@ def at_pixels(
 
     - `light_pass`: (mask, at) -> values at columns and rows `at` (n, 2) of the mask, or at every
       pixel where it is None.
-    - `mask`: (h, w) or (h, w, channels), of the size of the light pass.
+    - `mask`: (h, w) or (h, w, channels), of the size of the light pass, or larger than the image,
+      whose size the light pass then has.
     - `size`: (height, width) of the image; None if it is that of the mask.
     - `pixels`: row-major indices (n,) into the image; None for all of them.
     - `texels`: ``Texels.of`` these pixels, if only their texels are to be computed.
+    - `full_size`: whether the light pass has the size of the image where the mask is smaller.
 
     **Returns:** (height, width) or (n,), then channels.
     """
     low = (mask.shape[0], mask.shape[1])
+    if size is not None and size != low and (full_size or is_larger(low, size)):
+        shape = size if pixels is None else pixels.shape
+        chosen = jnp.arange(size[0] * size[1]) if pixels is None else pixels
+        light = light_pass(mask, _between(chosen, size, low, mask.dtype))
+        return light.reshape(*shape, *mask.shape[2:])
     if size is not None and size != low:
         if texels is not None:
             values = jnp.clip(light_pass(mask, texels.at.astype(mask.dtype)), 0, 1)
@@ -99,12 +108,24 @@ def _upsampled(light_pass, mask, size, pixels):
     (h, w), (height, width) = mask.shape[:2], size
     shape = size if pixels is None else pixels.shape
     chosen = jnp.arange(height * width) if pixels is None else pixels
-    at = columns_rows(chosen, width, mask.dtype)
-    x, y = (at[:, 0] + 0.5) * w / width - 0.5, (at[:, 1] + 0.5) * h / height - 0.5
+    x, y = _between(chosen, size, (h, w), mask.dtype).T
     clamped = jnp.clip(light_pass(mask, None), 0, 1)
     at_points = functools.partial(bilinear, x=x, y=y)
     out = at_points(clamped) if clamped.ndim == 2 else jax.vmap(at_points, -1, -1)(clamped)
     return out.reshape(*shape, *mask.shape[2:])
+
+
+def is_larger(mask: tuple[int, ...], size: tuple[int, int]) -> bool:
+    """Whether a ``mask`` (h, w) has more texels than an image of ``size`` has pixels."""
+    return mask[0] > size[0] or mask[1] > size[1]
+
+
+def _between(pixels, size, low, dtype):
+    """(n, 2) columns and rows, in an image of size ``low``, of the centres of ``pixels`` of one of
+    ``size``, (height, width) each."""
+    at = columns_rows(pixels, size[1], dtype)
+    ratio = jnp.asarray([low[1] / size[1], low[0] / size[0]], dtype)
+    return (at + 0.5) * ratio - 0.5
 
 
 def columns_rows(pixels, width, dtype):

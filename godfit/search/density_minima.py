@@ -14,6 +14,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from godfit.inference.arithmetic import with_arithmetic
 from godfit.inference.distinct import DOUBT, distinct
 from godfit.inference.evaluate import predictions
 from godfit.inference.information import Evidence, evidence, misfit
@@ -83,6 +84,14 @@ def on_subset(problem: Problem, start: np.ndarray, report: Report) -> list[np.nd
     def settled_on(count: int, start: np.ndarray):
         observation = problem.observe(count)
         settled, tangent = settle(start, problem, observation)
+        if IMPROVABLE_NOISE <= settled.sigma < WITHIN_ROUNDING:
+            # The target's arithmetic may be all that is left.
+            noisy = with_arithmetic(observation, problem, settled.coordinates, tangent)
+            if noisy is not observation:
+                observation = noisy
+                settled, tangent = settle(
+                    settled.coordinates, problem, observation, known=[tangent]
+                )
         return (
             settled,
             observation,
@@ -153,6 +162,8 @@ def likeliest(
         candidates = [settled.coordinates]
         # The derivatives of every pixel would only fill the memory.
         del tangent
+    # Candidates are compared with the noise that the first one has.
+    observation = with_arithmetic(observation, problem, candidates[0])
     settled, tangent = max(
         (settle(z, problem, observation) for z in candidates),
         key=lambda found: found[0].log_likelihood,

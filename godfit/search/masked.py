@@ -12,6 +12,7 @@ from godfit.errors import Remark
 from godfit.inference import indirect_inference
 from godfit.inference.fitted import Found
 from godfit.inference.information import evidence, undetermined
+from godfit.inference.mask_rounding import with_mask_shifts
 from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.problem import SEARCH_PIXELS, Problem, pixels_used
 from godfit.inference.settle import Settled, settle
@@ -44,13 +45,13 @@ ANOTHER_SUM = (
 )
 """Objection with the noise of the plain sum, the shader and its noise."""
 OWN_SIZE = (
-    "light pass: the mask's own size explains the picture better than a smaller one of {w}x{h} "
-    "pixels (noise of {own:.2g} levels against {other:.2g})"
+    "light pass: the mask's own size explains the picture better than one of {w}x{h} pixels (noise "
+    "of {own:.2g} levels against {other:.2g})"
 )
 """Note with the width, height and noise of the light pass that was rejected."""
-SMALLER_SIZE = (
+OTHER_SIZE = (
     "light pass: {scale:.2g} of the mask's size, {w}x{h} pixels, explains the picture better than "
-    "the whole (noise of {other:.2g} levels against {own:.2g}); --pass-scale 1 overrides this"
+    "the mask's own (noise of {other:.2g} levels against {own:.2g}); --pass-scale 1 overrides this"
 )
 """Note with the scale, width, height and noise of the light pass that is kept."""
 
@@ -64,7 +65,9 @@ def _(model: AbstractModel, problem: Problem, given: dict[str, float], effort: E
 def _(model: Mitchell, problem: Problem) -> Open | None:
     """Where no pixel shows its own value, exposure and weight act only through their product."""
     both_free = problem.is_free("exposure") and problem.is_free("weight")
-    if not (model.convention.product_open and both_free):
+    if not (model.convention.product_open and both_free) or {"exposure", "weight"} & set(
+        problem.prior
+    ):
         return None
     return Open("exposure", ("weight",))
 
@@ -88,7 +91,8 @@ def search_mask(problem: Problem, given: dict[str, float], effort: Effort) -> Fo
     if effort.inquire and problem.free.any() and problem.model.banded:
         found = _doubted(located, given, effort)
     found = hold_open(found, given)
-    return indirect_inference.corrected(found) if effort.inquire else found
+    found = indirect_inference.corrected(found) if effort.inquire else found
+    return with_mask_shifts(found)
 
 
 def _explained_by_another(problem: Problem, effort: Effort) -> Found | None:
@@ -194,8 +198,8 @@ def _with_plateaus(own: Located, given: dict[str, float], effort: Effort) -> Loc
 
 
 def _of_better_size(own: Located, given: dict[str, float], effort: Effort) -> Located:
-    """The point ``own`` of the mask's size, or that of the rival with a smaller light pass where
-    this is decidedly better; with a note where one of them is.
+    """The point ``own`` of the mask's size, or that of the rival with a light pass of another size
+    where this is decidedly better; with a note where one of them is.
 
     Both are compared on the same few pixels, first from the point at hand, so that a picture of the
     mask's size that is merely noisy costs no second search.
@@ -203,7 +207,7 @@ def _of_better_size(own: Located, given: dict[str, float], effort: Effort) -> Lo
     found, problem = own.found, own.found.problem
     if effort.rival is None or not problem.free.any() or found.settled.sigma <= WITHIN_ROUNDING:
         return own
-    effort.report("a smaller light pass")
+    effort.report("a light pass of another size")
     rival, start, chosen, note = effort.rival(), found.settled.coordinates, own, ""
     ends = {"floor": problem.picture.floor, "ceiling": problem.picture.ceiling}
     rival = rival.replaced(picture=dataclasses.replace(rival.picture, **ends))
@@ -215,10 +219,10 @@ def _of_better_size(own: Located, given: dict[str, float], effort: Effort) -> Lo
         explained = not multistart.doubtful(other.found)
         explained |= there.sigma < multistart.REMEDIED * here.sigma
         if explained and there.log_likelihood > here.log_likelihood + DECISIVE_LOG_ODDS:
-            chosen, note = other, SMALLER_SIZE
+            chosen, note = other, OTHER_SIZE
     elif here.log_likelihood > there.log_likelihood + DECISIVE_LOG_ODDS:
         note = OWN_SIZE
-    h, w = rival.picture.mask.shape[:2]
+    h, w = rival.picture.pass_size(rival.model)
     scale = h / problem.picture.mask.shape[0]
     words = note.format(scale=scale, w=w, h=h, own=here.sigma, other=there.sigma)
     return chosen._replace(

@@ -90,6 +90,7 @@ def fit_clip(
     shader: str | None = None,
     samples: int | None = None,
     pass_scale: float | None = None,
+    arithmetic: str | None = None,
     valid: np.ndarray | None = None,
     fix: Mapping[str, float | None] | None = None,
     start: Mapping[str, float] | None = None,
@@ -134,8 +135,8 @@ def fit_clip(
                 request = Request(
                     target=image, mask=shot.mask, scene=shot.scene, background=shot.background,
                     shader=shading.shader, samples=int(shading.samples), pass_scale=pass_scale,
-                    fix=fix, start=start, valid=valid, transfer=image.transfer, seed=seed,
-                    progress=report,
+                    fix=fix, start=start, valid=valid, transfer=image.transfer,
+                    arithmetic=arithmetic, seed=seed, progress=report,
                 ).checked()  # fmt: skip
                 found, messages, _ = found_for(request)
             notes += [f"{name}: {note}" for note in (*image.notes, *messages)]

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from godfit.inference import sample_count
+from godfit.inference.arithmetic import with_arithmetic
 from godfit.inference.distinct import DOUBT, distinct
 from godfit.inference.information import misfit
 from godfit.inference.noise import EXPLAINED, WITHIN_ROUNDING
@@ -54,7 +55,10 @@ class Ladder:
         assert isinstance(base.model, Mitchell)
         self.base, self.shader, self.seed, self.say = base, base.model, seed, say
         self.picture = base.picture
-        self.observation = self.picture.observe(pixels_used(self.picture, seed, LADDER_VALUES))
+        observation = self.picture.observe(pixels_used(self.picture, seed, LADDER_VALUES))
+        # All rungs have the noise of the base: their likelihoods are compared.
+        at = self._coordinates(base.model)
+        self.observation = with_arithmetic(observation, base.problem, at)
         self.ranking_pixels = self.picture.observe(self.picture.informative(SEARCH_PIXELS, seed))
         self.views = list(multigrid.blurred_views(self.picture.small, seed))
         published = self.shader.convention.defaults

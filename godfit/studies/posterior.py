@@ -17,9 +17,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from godfit.errors import LIKELIHOOD_INCOMPLETE, InputError
+from godfit.inference.arithmetic import with_arithmetic
 from godfit.inference.information import evidence
 from godfit.inference.likelihood import interval
-from godfit.inference.noise import SIGMAS
+from godfit.inference.noise import SIGMAS, noise_of
+from godfit.inference.observation import Observation
 from godfit.inference.problem import pixels_used
 from godfit.inference.repeated_values import relieved
 from godfit.inference.settle import Settled
@@ -83,6 +85,10 @@ def posterior(
     require()
     if result.picture.foreign:
         raise InputError("posterior: expected a fit with a mask or a scene, got neither; give one")
+    if result.prior:
+        raise InputError(
+            "posterior: expected a fit without priors, got one with them; leave them out"
+        )
     if result.simulated:
         raise InputError(LIKELIHOOD_INCOMPLETE.format("posterior"))
     if not result.converged:
@@ -98,6 +104,7 @@ def _posterior(result: FitResult, draws: int, warm_up: int, seed: int) -> Poster
     z = np.asarray(model.coordinates(), np.float32)
     tangent = tangent_at(z, problem, observation)
     scale = tangent.scale
+    observation = with_arithmetic(observation, problem, z, tangent)
     observation = relieved(observation, tangent.prediction, result.noise_levels)
     at = evidence(Settled(z, result.noise_levels, 0.0, True), tangent, observation)
     moving = np.flatnonzero(free)
@@ -110,14 +117,12 @@ def _posterior(result: FitResult, draws: int, warm_up: int, seed: int) -> Poster
     rows = jnp.asarray((root / scale[moving, None]).T @ tangent.jacobian[moving], jnp.float32)
     lower, upper = ((np.asarray(b) - z)[moving] for b in model.bounds())
     # The pixels of an upsampled pass share its texels.
-    share = float(np.prod(picture.mask.shape[:2]) / np.prod(picture.size))
+    share = picture.independent(model)
     floor = float(SIGMAS[0])
     start = float(np.log(max(result.noise_levels, floor) / floor))
     # The standard error of the logarithm of the noise from n values.
     unit = (2 * share * len(tangent.prediction)) ** -0.5
-    density = _density(
-        jnp.asarray(tangent.prediction), rows, observation.lo, observation.hi, floor, share
-    )
+    density = _density(jnp.asarray(tangent.prediction), rows, observation, floor, share)
 
     def inside(u):
         """Steps in coordinates, mirrored at the bounds."""
@@ -167,7 +172,7 @@ def _parameters(result: FitResult, z, moving: np.ndarray, steps: np.ndarray) -> 
     return np.asarray(jax.lax.map(values, jnp.asarray(steps, jnp.float32)), np.float64)
 
 
-def _density(prediction, rows, lo, hi, floor: float, share: float):
+def _density(prediction, rows, observation: Observation, floor: float, share: float):
     """Log-likelihood by whitened coordinates (q,) and the logarithm of the noise over ``floor``,
     with its slopes, computed in the same pass over the values."""
 
@@ -175,14 +180,18 @@ def _density(prediction, rows, lo, hi, floor: float, share: float):
     def density(u: Float[Array, " q"], s: Float[Array, ""]) -> Float[Array, ""]:
         return both(u, s)[0]
 
+    lo, hi, own_noise = observation.lo, observation.hi, observation.own_noise
+
     def both(u, s):
         sigma = floor * jnp.exp(s)
+        noise = noise_of(sigma, own_noise)
         levels = prediction + u @ rows
-        pixel = interval((lo - levels) / sigma, (hi - levels) / sigma)
+        pixel = interval((lo - levels) / noise, (hi - levels) / noise)
         # The likelihood of a point is the density: see ``likelihood.log_likelihood``.
-        log = jnp.where(lo == hi, pixel.log - jnp.log(sigma), pixel.log).sum()
-        by_u = rows @ (pixel.slope / sigma)
-        by_s = -(pixel.curvature - pixel.slope**2).sum()
+        log = jnp.where(lo == hi, pixel.log - jnp.log(noise), pixel.log).sum()
+        by_u = rows @ (pixel.slope / noise)
+        # The noise grows with its logarithm by the share that the common noise has of it.
+        by_s = -((pixel.curvature - pixel.slope**2) * jnp.square(sigma / noise)).sum()
         return share * log, (share * by_u, share * by_s)
 
     def backward(slopes, by):

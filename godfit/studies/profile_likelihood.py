@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from godfit.errors import LIKELIHOOD_INCOMPLETE, InputError
+from godfit.inference.arithmetic import with_arithmetic
 from godfit.inference.information import evidence
 from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.observation import Observation
@@ -42,6 +43,8 @@ TANGENT_TRIES = 12
 """Values at which the tangent's likelihood is profiled to find an end, at most."""
 RENDERED_TRIES = 5
 """Values at which the model's likelihood is profiled to correct an end, at most: each renders."""
+LARGEST_KAPPA = 1e4
+"""Attenuation that stands for that of decay = 0, which is infinite."""
 LEAST_PART = 0.02
 """Share of a bracket that a new value keeps from either end: both must come nearer."""
 
@@ -63,6 +66,10 @@ def check(result: FitResult, name: str) -> None:
     """Raise InputError for a parameter that has no interval."""
     if result.picture.foreign:
         raise InputError("profile: expected a fit with a mask or a scene, got neither; give one")
+    if result.prior:
+        raise InputError(
+            "profile: expected a fit without priors, got one with them; leave them out"
+        )
     if result.simulated:
         raise InputError(LIKELIHOOD_INCOMPLETE.format("profile"))
     if name not in result.params:
@@ -83,7 +90,7 @@ def _interval(result: FitResult, name: str) -> tuple[float, float]:
     row, best = model.parameters[name], result.params[name].value
     observation = picture.observe(pixels_used(picture, result.seed))
     # The pixels of an upsampled pass share its texels.
-    share = float(np.prod(picture.mask.shape[:2]) / np.prod(picture.size))
+    share = picture.independent(model)
     line = _ProfileLine(result, observation, index)
     low, high = (
         _end(line.on_tangent, best, way * line.stderr, bound, share, TANGENT_TRIES)
@@ -167,13 +174,15 @@ class _ProfileLine:
         self.problem = result.problem.replaced(free=self.others)
         z = np.asarray(result.model.coordinates(), np.float32)
         # decay = 0 has no finite coordinate; nothing else moves it.
-        z = np.nan_to_num(z, posinf=1e4)
+        z = np.nan_to_num(z, posinf=LARGEST_KAPPA)
         self.best = float(list(result.model.values().values())[index])
+        at = z.copy()
         scale = result.model.scales(z)
         scale[index] = 0.1 * abs(self.best) + 1e-3
         z[index] = self.best
         prediction, jacobian = _linearise(z, result.held, index, scale, result.model, observation)
         self.tangent = Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
+        observation = with_arithmetic(observation, result.problem, at)
         self.observation = observation = relieved(
             observation, self.tangent.prediction, result.noise_levels
         )

@@ -20,7 +20,7 @@ from godfit.errors import InputError
 from godfit.fitting import fit
 from godfit.inference.criteria import CLEAR, aic, bic
 from godfit.inference.likelihood import log_likelihood
-from godfit.inference.noise import EXPLAINED
+from godfit.inference.noise import EXPLAINED, noise_of
 from godfit.inference.problem import Problem
 from godfit.inference.solver import Intervals, solve_tangent
 from godfit.io.sources import Source, read_source
@@ -89,7 +89,11 @@ def select(
         rows, chosen = _compared(rungs, ladder, share)
         daylight = None
         if geometry:
-            shared = {k: v for k, v in options.items() if k in ("background", "valid", "transfer")}
+            shared = {
+                k: v
+                for k, v in options.items()
+                if k in ("background", "valid", "transfer", "arithmetic")
+            }
             daylight = fit(
                 source, mask=mask, scene=scene, model="hoffman-preetham", fov=fov,
                 distance=distance, channels=3, inquire=False, max_values=LADDER_VALUES, seed=seed,
@@ -164,6 +168,7 @@ def _held_out(rung: Rung, ladder: Ladder) -> tuple[np.ndarray, np.ndarray]:
     if len(drawn) > HELD_OUT_VALUES:
         drawn = np.sort(rng.choice(len(drawn), HELD_OUT_VALUES, replace=False))
     lo, hi = np.asarray(observation.lo), np.asarray(observation.hi)
+    own = None if observation.own_noise is None else np.asarray(observation.own_noise)
     count = int(block.max()) + 1
     score, size = np.zeros(count), np.zeros(count)
     for side in (0, 1):
@@ -178,14 +183,14 @@ def _held_out(rung: Rung, ladder: Ladder) -> tuple[np.ndarray, np.ndarray]:
             by[:] = _mean(lo[rows], hi[rows]) - at.coordinates
         elif rung.free.any():
             problem = Problem(rung.model, picture, rung.free, rung.held, seed)
-            intervals = Intervals(lo[rows], hi[rows])
-            moved = solve_tangent(at.coordinates, problem, tangent.only(rows), intervals, at.sigma)
+            walls = Intervals(lo[rows], hi[rows], own_noise=None if own is None else own[rows])
+            moved = solve_tangent(at.coordinates, problem, tangent.only(rows), walls, at.sigma)
             if np.isfinite(moved.coordinates).all():
                 by = moved.coordinates - at.coordinates
         levels = tangent.only(others).moved(by)
         log_likelihoods = log_likelihood(
             jnp.asarray(levels), jnp.asarray(lo[others]), jnp.asarray(hi[others]),
-            jnp.asarray(at.sigma, jnp.float32),
+            jnp.asarray(noise_of(at.sigma, None if own is None else own[others]), jnp.float32),
         )  # fmt: skip
         score += np.bincount(block[others], np.asarray(log_likelihoods, np.float64), count)
         size += np.bincount(block[others], minlength=count)

@@ -247,3 +247,27 @@ def test_compiled_code_refuses_other_types_and_ranks():
     ):
         with pytest.raises(TypeError, match=words):
             xla_ffi.call("any", shaped, mask, ranks="2")
+
+
+@pytest.mark.parametrize("size", [(5, 6), (11, 6), (22, 29)])
+@pytest.mark.parametrize("shader", ["dawntime", "pmndrs"])
+def test_a_pass_of_the_picture_s_size_reads_the_mask_between_its_texels(shader, size):
+    """A larger mask always, a smaller one where the pass has the picture's size."""
+    own, dropped, order, gain = oracle.FACTORS[shader]
+    exposure, decay, density, weight = POINT
+    u, v = oracle.pixel_centres(*size)
+    total = own * oracle.texture(MASK, u, v)
+    for i in range(1, 9 - dropped + 1):
+        t = i * density / 9
+        read = oracle.texture(MASK, u + t * (LIGHT[0] - u), v + t * (LIGHT[1] - v))
+        total = total + weight * decay ** (i - order) * read
+    expected = exposure * gain * total
+    at = Mitchell(*POINT, LIGHT, shader, 9, full_size=True)
+    np.testing.assert_allclose(render(at, MASK, size=size), expected, atol=1e-12)
+    some = jnp.asarray([3, 7, 20])
+    np.testing.assert_allclose(
+        render(at, MASK, size=size, pixels=some), expected.reshape(-1)[some], atol=1e-12
+    )
+    if size[0] <= MASK.shape[0]:
+        same = eqx.tree_at(lambda m: m.exposure, model(shader), at.exposure)
+        np.testing.assert_allclose(render(same, MASK, size=size), expected, atol=1e-12)

@@ -226,6 +226,30 @@ def test_gradient_where_surfaces_pass_through_each_other(name, keys):
         np.testing.assert_allclose(found.value(key), expected, rtol=0, atol=0.06 * largest)
 
 
+def test_gradient_where_the_near_plane_cuts_a_box():
+    """The outline in sight is the cut, whose corners slide along the box's edges."""
+    box = thing("box", (0.097, 0.205, 4.86), (8, 5, 20), sizes={"size": [0.05, 0.035, 0.2]})
+    scene = stage(box)
+    assert 0.1 < (np.asarray(visible(scene).label) == 2).mean() < 0.3
+    found = gradient(scene)
+    for key in ("object[0].position", "object[0].rotation", "camera.position", "object[0].scale"):
+        expected = differences(exact_loss, scene, key, 1e-3 if key.endswith("rotation") else 1e-5)
+        largest = np.abs(expected).max()
+        np.testing.assert_allclose(found.value(key), expected, rtol=0, atol=0.01 * largest)
+
+
+def test_gradient_of_a_light_far_off_the_axis():
+    """Rays to it are longer than their share along the view, by which depths on the light's sphere
+    are computed, where it passes through a box."""
+    box = thing("box", (3.1, 2.2, 0.6), (25, 40, 10), sizes={"size": [2.0, 2.2, 1.8]}, colour=0.3)
+    scene = stage(box, light=(3.2, 2.2, 0.6), radius=1.25, fov_y=95, size=(96, 128))
+    found = gradient(scene)
+    for key in ("light.position", "light.radius", "camera.position", "object[0].position"):
+        expected = differences(exact_loss, scene, key, 0.02)
+        largest = np.abs(expected).max()
+        np.testing.assert_allclose(found.value(key), expected, rtol=0, atol=0.01 * largest)
+
+
 def test_gradient_is_that_of_the_supersampled_loss():
     scene = SCENES["light partly hidden"]
     found = gradient(scene)

@@ -29,7 +29,8 @@ def picture(seed, noise=0.0, kind="triangles", **changes):
 
 
 def fit(target, mask, **options):
-    options = {"shader": "dawntime", "samples": SAMPLES, "mask": mask} | options
+    shown = {"shader": "dawntime", "samples": SAMPLES, "mask": mask, "arithmetic": "exact"}
+    options = shown | options
     return godfit.fit(target, **options)
 
 

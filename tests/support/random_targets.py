@@ -103,15 +103,18 @@ def _grid(size: int) -> tuple[np.ndarray, np.ndarray]:
     return np.meshgrid(centres, centres[::-1])
 
 
-def render64(mask: np.ndarray, truth: dict[str, float]) -> np.ndarray:
-    """Dawntime's light pass in float64, tap by tap, scipy's bilinear read: (h, w), unclamped."""
+def render64(
+    mask: np.ndarray, truth: dict[str, float], jitter: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """Dawntime's light pass in float64, tap by tap, scipy's bilinear read: (h, w), unclamped. Taps
+    lie ``jitter`` (h, w) of a step nearer to the pixel."""
     h, w = mask.shape
     n = int(truth["samples"])
     rows, columns = np.mgrid[:h, :w].astype(np.float64)
     light_x, light_y = truth["light_x"] * w - 0.5, (1 - truth["light_y"]) * h - 0.5
     out = mask.astype(np.float64)
     for i in range(1, n):
-        t = i * truth["density"] / n
+        t = (i - jitter) * truth["density"] / n
         at = [rows + t * (light_y - rows), columns + t * (light_x - columns)]
         read = ndimage.map_coordinates(mask, at, order=1, mode="nearest")
         out += truth["weight"] * truth["decay"] ** i * read

@@ -51,6 +51,7 @@ CONVENTIONS = (
         own=0.0,
         defaults=defaults_of(0.6, 0.9, 0.96, 0.4, 60),
         blend="screen",
+        half_floats=True,
         names=UNIFORMS | {"samples": "samples", "light": "lightSource"},
         source="pmndrs/postprocessing, GodRaysEffect",
         family=FAMILY,

@@ -56,7 +56,7 @@ class Convention:
     background_gain * B + L, ``"screen"`` is B + L - B L, ``"modulate"`` is B (1 + L), ``"towards"``
     is B + E mean(L) (L - B), where the mean is that of the channels and L has no exposure.
     ``pass_scale`` is the size of the light pass relative to the picture, where nothing else is
-    known.
+    known. ``half_floats`` is whether mask and light pass are stored in these, and not in bytes.
 
     ``defaults`` are the published default parameters by name, none where none are published;
     ``names`` are the engine's own names of parameters, ``source`` is where both are found.
@@ -80,6 +80,7 @@ class Convention:
     background_gain: float = 1.0
     density_slider: float | None = None
     pass_scale: float = 1.0
+    half_floats: bool = False
     remarks: str = ""
     own_scaled: bool = True
     averaged: bool = False

@@ -1,0 +1,168 @@
+r"""What the arithmetic of a GPU adds to a picture, as noise of each value.
+
+A shader walks to the light by adding a step in float32, and each addition rounds to float32's grid
+at the place where it is. While a coordinate stays in one binade, it is rounded by the same amount
+at every step. After k steps a column has drifted by k e and its taps lie on rays to a light of its
+own, off by e / step. With J the derivatives of the sum by the light, the values of the column are
+off by J e / step, and likewise those of a row. A drift is a hash of the step: it is not fitted, and
+enters as noise with the variance of a rounding to the grid below 1,
+
+    (2^-24 / step)^2 / 12 sum over lights of (J_u^2 + J_v^2)
+
+Texture units interpolate with fractions of 1/256 (Vulkan's limit subTexelPrecisionBits, 8 in common
+hardware). A tap of weight c_k is then off by the mask's slope there times the rounding of the
+fraction, so that a value has the variance
+
+    (2^-8)^2 / 12 sum_k c_k^2 |grad M_k|^2
+
+which is one more radial sum: that of the squared slopes by the squared weights. A light pass in
+half floats is rounded to these before it becomes bytes. All channels share one drift: as many times
+the variance make them count as one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from godfit.inference.mask_rounding import rounded_texels
+from godfit.inference.observation import EXACT, Observation
+from godfit.inference.problem import Problem
+from godfit.inference.solver import Tangent, tangent_at
+from godfit.io.image import LEVELS, decode, encode
+from godfit.models.base import AbstractModel, Vector
+from godfit.models.mitchell import Mitchell
+from godfit.models.shaded import AbstractShaded
+from godfit.runtime.program_cache import cached_jit
+from godfit.scattering.parameters import is_light
+from godfit.scattering.radial import radial_sum
+from godfit.scattering.taps import Taps
+from godfit.scattering.upsample import at_pixels
+
+WALK_ROUNDING = 2.0**-24 / math.sqrt(12)
+"""Standard deviation, in texture coordinates, of a rounding to float32's grid between .5 and 1."""
+FRACTION_ROUNDING = 2.0**-8 / math.sqrt(12)
+"""Standard deviation, in texels, of a rounding to 1/256 of a texel."""
+
+
+def with_arithmetic(
+    observation: Observation,
+    problem: Problem,
+    coordinates: np.ndarray,
+    tangent: Tangent | None = None,
+) -> Observation:
+    """The observation with the noise of the target's arithmetic, from the ``tangent`` at the
+    ``coordinates`` (p,), which is rendered where it is not at hand. The observation is returned as
+    it is where the target is exact, or the model has no walk."""
+    picture, model = problem.picture, problem.model
+    if picture.arithmetic == EXACT or picture.foreign:
+        return observation
+    walk = problem.at(coordinates).walk
+    if walk is None:
+        return observation
+    plain = observation.with_noise(None)
+    tangent = tangent or tangent_at(coordinates, problem, plain)
+    columns = [i for i, name in enumerate(problem.names) if is_light(name)]
+    if columns and np.isnan(problem.held[columns]).all():
+        by_light = np.zeros(len(tangent.prediction), np.float32)
+        for i in columns:
+            by_light += np.square(tangent.jacobian[i] / tangent.scale[i])
+    else:
+        # A light that is held, or that follows a scene, has no column of its own.
+        by_light = np.asarray(_by_light(coordinates, problem.held, model, plain))
+    variance = (WALK_ROUNDING / float(walk.step)) ** 2 * by_light
+    if isinstance(model, (Mitchell, AbstractShaded)):
+        texels = rounded_texels(picture, model)
+        by_taps = _by_taps(coordinates, problem.held, model, (plain, texels), tangent.prediction)
+        variance = variance + np.asarray(by_taps)
+        if model.convention.half_floats:
+            variance = variance + half_float_variance(tangent.prediction)
+    noise = np.sqrt(picture.channels * variance).astype(np.float32)
+    return observation.with_noise(noise)
+
+
+@cached_jit
+def _by_light(
+    coordinates: Vector, held: Vector, model: AbstractModel, observation: Observation
+) -> Float[Array, " m"]:
+    """Squared derivatives of the levels by the lights' texture coordinates, in sum."""
+    flat, mask = model.moved(coordinates, held).flat(observation.mask)
+    there = dataclasses.replace(observation, mask=mask)
+    light = flat.light.reshape(-1)
+
+    def predict(places):
+        moved = eqx.tree_at(lambda m: m.light, flat, places.reshape(flat.light.shape))
+        return there.predict(moved)
+
+    rows = [jax.jvp(predict, (light,), (way,))[1] for way in jnp.eye(len(light), dtype=light.dtype)]
+    return jnp.sum(jnp.square(jnp.stack(rows)), 0)
+
+
+@cached_jit
+def _by_taps(
+    coordinates: Vector,
+    held: Vector,
+    model: AbstractModel,
+    read: tuple[Observation, Float[Array, "..."] | None],
+    prediction: Float[Array, " m"],
+) -> Float[Array, " m"]:
+    """Variances of the levels where taps err by themselves: by rounded fractions of a texel, and by
+    the variances of the texels, which are ``read`` with the observation, None for none."""
+    observation, texels = read
+    flat, mask = model.moved(coordinates, held).flat(observation.mask)
+    assert isinstance(flat, Mitchell)
+    some = None if observation.whole else observation.pixels
+    image = FRACTION_ROUNDING**2 * squared_slopes(mask)
+    image = image if texels is None else image + texels
+    squares = at_pixels(
+        lambda image, at: squared_sum(flat, image, at), image, observation.size, some,
+        observation.texels, flat.full_size,
+    )  # fmt: skip
+    squares = squares.reshape(observation.pixels.shape[0], -1)
+    squares = jnp.broadcast_to(squares, (observation.pixels.shape[0], observation.channels))
+    linear = decode(jnp.asarray(prediction) / LEVELS, observation.transfer)
+    _, by_light = jax.jvp(
+        lambda z: LEVELS * encode(z, observation.transfer), (linear,), (jnp.ones_like(linear),)
+    )
+    return squares.reshape(-1) * jnp.square(by_light)
+
+
+def half_float_variance(levels: np.ndarray) -> np.ndarray:
+    """(m,) variance in levels of values that were stored as half floats, of 11 significant bits."""
+    spacing = np.spacing(np.abs(levels / LEVELS).astype(np.float16)).astype(np.float32) * LEVELS
+    return np.square(spacing) / 12
+
+
+def squared_sum(
+    model: Mitchell, image: Float[Array, "..."], at: Float[Array, "*points 2"] | None
+) -> Float[Array, "..."]:
+    """The sum of ``image`` over the taps of ``model``, each with the square of its weight, without
+    the pixel's own, for all lights together. Of a whole picture it is computed at half the size:
+    variances are smooth."""
+    taps = model.walk
+    assert taps is not None
+    squared = Taps(0.0, taps.first**2, taps.ratio**2, taps.step, taps.count)
+    method = "half" if at is None else "auto"
+    total = 0.0
+    for light in model.light:
+        total += radial_sum(image, light, squared, at=at, method=method)
+    return jnp.asarray(total)
+
+
+def squared_slopes(mask: Float[Array, "h w"] | Float[Array, "h w c"]) -> Float[Array, "..."]:
+    """The squared slope of a mask that is read bilinearly, per texel, at its texels: the mean of
+    those of the cells on either side, over both axes."""
+    total = jnp.zeros_like(mask)
+    for axis in (0, 1):
+        square = jnp.square(jnp.diff(mask, axis=axis))
+        ends = [(0, 0)] * mask.ndim
+        before, after = list(ends), list(ends)
+        before[axis], after[axis] = (1, 0), (0, 1)
+        total += (jnp.pad(square, before) + jnp.pad(square, after)) / 2
+    return total

@@ -1,0 +1,187 @@
+"""Noise by the arithmetic of a GPU: against a loop over taps in that arithmetic."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from godfit import InputError, fit, read_image, write_image
+from godfit.inference.arithmetic import (
+    FRACTION_ROUNDING,
+    WALK_ROUNDING,
+    squared_slopes,
+    squared_sum,
+    with_arithmetic,
+)
+from godfit.inference.mask_rounding import TEXEL_VARIANCE, pull_covariance, rounded_texels
+from godfit.inference.observation import EXACT, GPU, Picture
+from godfit.inference.problem import Problem
+from godfit.io.sidecar import read_sidecar
+from godfit.io.sources import read_source
+from godfit.models.mitchell import Mitchell
+from tests.support import gpu_walk, random_targets, scattering_oracle
+
+SHADER, SIZE = "dawntime", (72, 96)
+TRUTH = {
+    "exposure": 0.06, "decay": 0.97, "density": 0.85, "weight": 0.7, "light_x": 0.431,
+    "light_y": 0.617, "samples": 60,
+}  # fmt: skip
+LIGHT = TRUTH["light_x"], TRUTH["light_y"]
+NUMBERS = [TRUTH[name] for name in ("exposure", "decay", "density", "weight")]
+
+
+def mask(seed=0):
+    """Bytes over 255: a disc behind bars."""
+    rng = np.random.default_rng(seed)
+    u, v = scattering_oracle.pixel_centres(*SIZE)
+    drawn = 0.07 + 0.93 * (np.hypot(u - LIGHT[0], (v - LIGHT[1]) * 0.75) < 0.16)
+    for _ in range(7):
+        angle, at = rng.uniform(0, np.pi), rng.uniform(-0.5, 0.5)
+        drawn[np.abs((u - 0.5) * np.cos(angle) + (v - 0.5) * np.sin(angle) - at) < 0.02] = 0
+    return np.round(drawn * 255) / 255
+
+
+def model(**changes):
+    return dataclasses.replace(Mitchell(*NUMBERS, LIGHT, SHADER, TRUTH["samples"]), **changes)
+
+
+def by_light():
+    """(h, w, 2) derivatives of the light pass by the light."""
+    at = model()
+
+    def image(light):
+        return dataclasses.replace(at, light=light[None]).light_pass(jnp.asarray(mask()))
+
+    return np.asarray(jax.jacfwd(image)(at.light[0]))
+
+
+def test_the_walk_without_rounding_is_the_formula():
+    walked = gpu_walk.walk(mask(), SHADER, TRUTH, dtype=np.float64)
+    expected = scattering_oracle.light_pass(mask(), SHADER, *NUMBERS, LIGHT, TRUTH["samples"])
+    np.testing.assert_allclose(walked, expected, atol=1e-12)
+
+
+def test_columns_and_rows_of_a_walk_have_lights_of_their_own():
+    walked = gpu_walk.walk(mask(), SHADER, TRUTH)
+    off = walked - gpu_walk.walk(mask(), SHADER, TRUTH, dtype=np.float64)
+    u, v = scattering_oracle.pixel_centres(*SIZE)
+    settings = TRUTH["density"], TRUTH["samples"], TRUTH["samples"] - 1
+    across = gpu_walk.drifts(u[0], LIGHT[0], *settings)
+    down = gpu_walk.drifts(v[:, 0], LIGHT[1], *settings)
+    slopes = by_light()
+    explained = slopes[..., 0] * across[None] + slopes[..., 1] * down[:, None]
+    assert ((off - explained) ** 2).sum() < 0.1 * (off**2).sum()
+    # And the noise that a fit allows for is of the size of these displacements.
+    expected = WALK_ROUNDING * TRUTH["samples"] / TRUTH["density"]
+    for size in (np.sqrt(np.mean(across**2)), np.sqrt(np.mean(down**2))):
+        assert 0.3 * expected < size < 1.2 * expected
+
+
+def test_fractions_of_a_texel_are_off_by_the_slopes_of_the_mask():
+    exact, rounded = (
+        gpu_walk.walk(mask(), SHADER, TRUTH, fractions=f, dtype=np.float64) for f in (None, 256)
+    )
+    variance = FRACTION_ROUNDING**2 * squared_sum(
+        model(), squared_slopes(jnp.asarray(mask())), None
+    )
+    measured = np.mean((rounded - exact) ** 2)
+    assert 0.6 * measured < float(np.mean(variance)) < 2 * measured
+
+
+def test_squared_slopes_are_those_of_the_interpolated_mask():
+    """Over a texel and both its neighbours' halves, each axis has the mean of two squares."""
+    image = np.random.default_rng(0).random((5, 6))
+    found = np.asarray(squared_slopes(jnp.asarray(image)))
+    down, along = np.diff(image, axis=0) ** 2, np.diff(image, axis=1) ** 2
+    for i in range(5):
+        for j in range(6):
+            parts = [down[i - 1, j] if i else 0, down[i, j] if i < 4 else 0]
+            parts += [along[i, j - 1] if j else 0, along[i, j] if j < 5 else 0]
+            assert found[i, j] == pytest.approx(sum(parts) / 2)
+
+
+def problem(target, arithmetic, **held):
+    picture = Picture.make(read_source(target, "none"), mask().astype(np.float32), None, None)
+    picture = dataclasses.replace(picture, arithmetic=arithmetic)
+    names = list(model().parameters)
+    fixed = np.array([held.get(name, np.nan) for name in names], np.float32)
+    return Problem(model(), picture, np.isnan(fixed), fixed)
+
+
+def test_noise_does_not_depend_on_what_is_held(single_precision):
+    target = random_targets.to_bytes(gpu_walk.walk(mask(), SHADER, TRUTH))
+    z = np.asarray(model().coordinates(), np.float32)
+    noise = []
+    for held in ({}, {"light_x": LIGHT[0], "light_y": LIGHT[1]}):
+        one = problem(target, GPU, **held)
+        whole = one.picture.observe(np.arange(target.size))
+        noise.append(np.asarray(with_arithmetic(whole, one, z).own_noise))
+        exact = one.replaced(picture=dataclasses.replace(one.picture, arithmetic=EXACT))
+        assert with_arithmetic(whole, exact, z).own_noise is None
+    np.testing.assert_allclose(*noise, rtol=1e-3, atol=1e-7)
+    walk = WALK_ROUNDING * TRUTH["samples"] / TRUTH["density"] * 255
+    lower = walk * np.linalg.norm(by_light(), axis=-1).ravel()
+    assert (noise[0] > 0.999 * lower).all()
+
+
+def test_errors_hold_where_the_target_walked(single_precision, tmp_path):
+    image = gpu_walk.walk(mask(), SHADER, TRUTH, fractions=256)
+    options = {"mask": mask(), "shader": SHADER, "samples": TRUTH["samples"]}
+    result = fit(random_targets.to_bytes(image), **options)
+    assert (result.converged, result.record()["arithmetic"]) == (True, "gpu")
+    off = {n: (e.value - TRUTH[n]) / e.stderr for n, e in result.params.items()}
+    assert max(map(abs, off.values())) < 4, off
+    # What this program renders says that it is exact, in any folder.
+    write_image(tmp_path / "t.png", image, exact=True)
+    stored = read_image(tmp_path / "t.png")
+    exact = fit(stored, **options)
+    assert (stored.exact, exact.record()["arithmetic"]) == (True, "exact")
+    assert exact.params["light_x"].stderr < result.params["light_x"].stderr
+    write_image(tmp_path / "t.png", image)
+    assert not read_image(tmp_path / "t.png").exact
+
+
+def test_arithmetic_is_named(tmp_path):
+    with pytest.raises(InputError, match="expected gpu or exact, got 'fixed'"):
+        fit(np.zeros((8, 8), np.uint8), mask=np.ones((8, 8)), arithmetic="fixed")
+    (tmp_path / "x.toml").write_text('[scattering]\narithmetic = "exact"\n')
+    assert read_sidecar(str(tmp_path / "x.png"))["arithmetic"] == "exact"
+
+
+def test_texels_of_one_flat_value_err_together():
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(1, 255, (5, 6)) / 255
+    drawn[:3, :3] = 100 / 255
+    drawn[4, 5] = 1
+    variance = np.where(drawn < 1, TEXEL_VARIANCE, 0)
+    slopes = rng.standard_normal((2, 5, 6))
+    expected, together = np.zeros((2, 2)), np.zeros(2)
+    for i in range(5):
+        for j in range(6):
+            if i < 2 and j < 2:
+                together += slopes[:, i, j]
+            else:
+                expected += variance[i, j] * np.outer(slopes[:, i, j], slopes[:, i, j])
+    expected += TEXEL_VARIANCE * np.outer(together, together)
+    np.testing.assert_allclose(pull_covariance(drawn, variance, slopes), expected)
+
+
+def test_masks_of_bytes_are_rounded_where_the_pass_read_half_floats():
+    values = np.array([[0, 0, 0], [0, 0, 0.5], [1, 1, 100 / 255]], np.float32)
+    target = read_source(np.zeros((3, 3), np.uint8), "none")
+
+    def variances(shader, mask, arithmetic=GPU):
+        picture = dataclasses.replace(Picture.make(target, mask, None, None), arithmetic=arithmetic)
+        return rounded_texels(picture, model(shader=shader))
+
+    grey = np.round(values * 255) / 255
+    known = variances("pmndrs", grey)
+    # Black and white next to grey may be the end of a blur.
+    np.testing.assert_array_equal(known > 0, [[0, 1, 1], [0, 1, 1], [0, 1, 1]])
+    assert variances("dawntime", grey) is None
+    assert variances("pmndrs", grey, EXACT) is None
+    assert variances("pmndrs", np.round(values)) is None
+    # A mask of floats is known as it is.
+    assert variances("pmndrs", values + np.float32(0.1 / 255)) is None
