@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 DPI = 100
 """Pixels an inch of a figure: panels of 4 inches hold pictures of 400 pixels without scaling."""
 
+PAGE = "report.html"
+"""The page of a result, in its folder."""
+
 
 class PictureNotWritten(UserWarning):
     """A picture of a result could not be drawn or written; ``name`` is its file's."""
@@ -73,3 +76,12 @@ def write_result(
     for failed in parallel_map(failure, pictures):
         if failed is not None:
             warnings.warn(failed, stacklevel=3)
+
+
+def page_writer(page: Callable[[], str]) -> Callable[[Path], None]:
+    """What writes a page to a path, whole or not at all."""
+
+    def write(path: Path) -> None:
+        atomic_write(path, page().encode("utf-8", "backslashreplace"))
+
+    return write

@@ -17,7 +17,8 @@ from godfit.inference.problem import Problem
 from godfit.io.image import LEVELS, decode, write_image
 from godfit.models.base import AbstractModel
 from godfit.report.figure import plot
-from godfit.report.files import write_result
+from godfit.report.files import PAGE, page_writer, write_result
+from godfit.report.pages import fit_page
 from godfit.report.record import fit_record
 from godfit.report.style import own_style
 from godfit.report.text import html, summary
@@ -43,7 +44,8 @@ class FitResult:
     ``residual_tails`` their kurtosis, near 3 for Gaussian noise. With ``simulated``, values and
     errors allow for the target's processing, see ``inference/indirect_inference.py``; the
     likelihood does not. ``pass_scale`` is the size of the light pass relative to the mask that was
-    given, None without one.
+    given, None without one. ``where`` has, for each determined parameter, the share (rows, columns)
+    of the information on it that each cell of the picture holds.
     """
 
     converged: bool
@@ -75,6 +77,7 @@ class FitResult:
     simulated: bool = False
     pass_scale: float | None = None
     inputs: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
+    where: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
 
     @property
     def problem(self) -> Problem:
@@ -82,13 +85,14 @@ class FitResult:
         return Problem(self.model, self.picture, self.free, self.held, self.seed)
 
     @functools.cached_property
-    def _levels(self) -> np.ndarray:
+    def levels(self) -> np.ndarray:
+        """(h, w, c) levels of the fitted image in the target's encoding, not rounded."""
         with as_guest():
             return self.picture.rendered(self.model)
 
     def render(self) -> np.ndarray:
         """The fitted image, linear, clamped to [0, 1]; shaped like the target."""
-        levels = self._levels / np.float32(LEVELS)
+        levels = self.levels / np.float32(LEVELS)
         with as_guest():
             image = np.asarray(decode(levels, self.picture.transfer))
         return image if image.shape[-1] == 3 else image[..., 0]
@@ -102,7 +106,7 @@ class FitResult:
     @property
     def residual(self) -> np.ndarray:
         """Fitted minus target in levels, both clamped to the scale, NaN where ignored."""
-        residual = self._levels - self.picture.levels
+        residual = self.levels - self.picture.levels
         residual[~self.picture.valid] = np.nan
         return residual if residual.shape[-1] == 3 else residual[..., 0]
 
@@ -119,15 +123,24 @@ class FitResult:
         with as_guest(), own_style():
             return plot(self)
 
-    def save(self, folder: str | os.PathLike[str], command: str = "") -> None:
-        """Write fit.json, fit.png and render.png into ``folder``. Raises OSError, and warns of
-        pictures that fail."""
+    def save(
+        self, folder: str | os.PathLike[str], command: str = "", page: bool = True
+    ) -> None:
+        """Write fit.json, fit.png, render.png and, with ``page``, report.html into ``folder``.
+        Raises OSError, and warns of pictures that fail."""
 
         def render(path: Path) -> None:
             write_image(path, self.render(), transfer=self.picture.transfer)
 
         record = ("fit.json", self.record(command))
-        write_result(Path(folder), record, ("fit.png", self.plot), {"render.png": render})
+        files = {"render.png": render}
+        if page:
+            files[PAGE] = page_writer(lambda: self.page(command))
+        write_result(Path(folder), record, ("fit.png", self.plot), files)
 
     def _repr_html_(self) -> str:
         return html(self)
+
+    def page(self, command: str = "") -> str:
+        """report.html: a page that runs the fitted shader in a browser, offline, in one file."""
+        return fit_page(self, command).html()
