@@ -45,6 +45,4 @@ def fit_page(result: FitResult, command: str = "", notebook: bool = False) -> Pa
 
 def shown(result: FitResult, command: str = "") -> Shown:
     """The picture of a fit, for a viewer."""
-    return Shown(
-        result.model, result.picture, result.params, result.levels, result.where, command
-    )
+    return Shown(result.model, result.picture, result.params, result.levels, result.where, command)

@@ -123,9 +123,7 @@ class FitResult:
         with as_guest(), own_style():
             return plot(self)
 
-    def save(
-        self, folder: str | os.PathLike[str], command: str = "", page: bool = True
-    ) -> None:
+    def save(self, folder: str | os.PathLike[str], command: str = "", page: bool = True) -> None:
         """Write fit.json, fit.png, render.png and, with ``page``, report.html into ``folder``.
         Raises OSError, and warns of pictures that fail."""
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import base64
 import dataclasses
 import functools
-import math
 import zlib
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -30,7 +29,7 @@ from godfit.models.mitchell import Mitchell
 from godfit.models.staged import Staged
 from godfit.models.tinted import Tinted
 from godfit.report.live.glsl import described
-from godfit.report.text import number
+from godfit.report.text import half_sentence
 from godfit.runtime.guest import as_guest
 from godfit.scattering.parameters import is_light, light_parameters
 from godfit.scattering.taps import CONVENTIONS
@@ -226,7 +225,9 @@ def page_data(shown: Shown, side: int = PAGE_SIDE, eager: bool = True) -> dict[s
     # The light of a scene is where its camera has it.
     params |= {name: Estimate(float(v), None, True) for name, v in placed if name not in params}
     data["params"] = [
-        slider(name, e, shown.model) for name, e in params.items() if name in MOVED or is_light(name)
+        slider(name, e, shown.model)
+        for name, e in params.items()
+        if name in MOVED or is_light(name)
     ]
     data["lights"] = [lights[i : i + 2] for i in range(0, len(lights), 2)]
     data["shader"], data["samples"] = shading.shader, int(shading.samples)
@@ -276,22 +277,4 @@ def _map(name: str, share: np.ndarray) -> dict[str, Any]:
     """The map of a parameter's information, and a sentence on it."""
     most = max(float(share.max()), 1e-30)
     # The square root makes the faint parts visible.
-    return {"map": packed(np.sqrt(share / most)).as_json(), "text": where_sentence(name, share)}
-
-
-def where_sentence(name: str, share: np.ndarray) -> str:
-    """How much of the picture holds half of the information on a parameter."""
-    ordered = np.sort(share.reshape(-1))[::-1]
-    half = int(np.searchsorted(ordered.cumsum(), ordered.sum() / 2)) + 1
-    percent = 100 * half / share.size
-    return f"half of the information on {name} is in {percent:.2g}% of the picture"
-
-
-def finite(value: float) -> float | None:
-    """A number as JSON has it."""
-    return value if math.isfinite(value) else None
-
-
-def number_text(e: Estimate) -> str:
-    """A value with its error, as tables have it."""
-    return number(e.value, e.stderr)
+    return {"map": packed(np.sqrt(share / most)).as_json(), "text": half_sentence(name, share)}

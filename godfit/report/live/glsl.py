@@ -25,14 +25,16 @@ out vec4 colour;
 // Pixel centres are counted from the top left, as the program counts them.
 vec2 place() {
   vec2 cell = floor(gl_FragCoord.xy);
-  return vec2((cell.x * stride + .5) / whole.x, 1. - ((rows - 1. - cell.y) * stride + .5) / whole.y);
+  vec2 down = vec2(cell.x, rows - 1. - cell.y) * stride + .5;
+  return vec2(down.x / whole.x, 1. - down.y / whole.y);
 }
 
 // The mask, bilinear and clamped to its edge, where the texture unit filters no floats.
 vec3 bilinear(vec2 uv) {
   ivec2 size = textureSize(mask, 0);
   vec2 at = uv * vec2(size) - .5, low = floor(at), part = at - low;
-  ivec2 end = size - 1, a = clamp(ivec2(low), ivec2(0), end), b = clamp(ivec2(low) + 1, ivec2(0), end);
+  ivec2 none = ivec2(0), end = size - 1;
+  ivec2 a = clamp(ivec2(low), none, end), b = clamp(ivec2(low) + 1, none, end);
   vec3 bottom = mix(texelFetch(mask, a, 0).rgb, texelFetch(mask, ivec2(b.x, a.y), 0).rgb, part.x);
   vec3 top = mix(texelFetch(mask, ivec2(a.x, b.y), 0).rgb, texelFetch(mask, b, 0).rgb, part.x);
   return mix(bottom, top, part.y);
@@ -43,7 +45,7 @@ vec3 tap(vec2 uv) {
   return first ? FIRST : value;
 }
 """
-"""What all programs share; FIRST is what the first pass takes from a mask of the value ``value``."""
+"""What all programs share; FIRST is what the first pass takes from a mask's ``value``."""
 RAY = """
 void main() {
   vec2 uv = place(), delta = (light - uv) * (density / float(samples));
