@@ -12,7 +12,8 @@ import numpy as np
 
 from godfit.inference.estimates import Estimate
 from godfit.models.base import AbstractModel
-from godfit.report.files import write_result
+from godfit.report.files import PAGE, page_writer, write_result
+from godfit.report.pages import clip_page
 from godfit.report.record import SCHEMA, estimate, remarks, versions
 from godfit.report.sheet import ALARM, QUIET, Grid, Panel, Sheet, Words
 from godfit.report.style import own_style
@@ -48,7 +49,7 @@ class Frame(NamedTuple):
 class ClipResult:
     """The result of a clip's fit: ``params`` of the shader with their ``covariance`` (6, 6; NaN
     where held, open, or a light's), ``frames`` in their order, ``shown`` (h, w, 3) a small copy of
-    the first."""
+    the first, ``pages`` the frames as the live page has them."""
 
     converged: bool
     message: str
@@ -62,6 +63,7 @@ class ClipResult:
     notes: tuple[str, ...]
     timing_s: dict[str, float]
     shown: np.ndarray
+    pages: tuple[dict[str, Any], ...] = ()
 
     def summary(self) -> str:
         """The table that the command line prints, as plain text."""
@@ -76,11 +78,12 @@ class ClipResult:
         with own_style():
             return _plot(self)
 
-    def save(self, folder: str | os.PathLike[str], command: str = "") -> None:
-        """Write fit.json and fit.png into ``folder``. Raises OSError, and warns of
-        pictures that fail."""
+    def save(self, folder: str | os.PathLike[str], command: str = "", page: bool = True) -> None:
+        """Write fit.json, fit.png and, with ``page``, report.html into ``folder``. Raises
+        OSError, and warns of pictures that fail."""
         record = ("fit.json", self.record(command))
-        write_result(Path(folder), record, ("fit.png", self.plot))
+        files = {PAGE: page_writer(lambda: clip_page(self).html())} if page else {}
+        write_result(Path(folder), record, ("fit.png", self.plot), files)
 
 
 def _summary(result: ClipResult) -> str:

@@ -18,7 +18,8 @@ from godfit.report.figure import (
     residual_caption,
     worst_channel,
 )
-from godfit.report.files import write_result
+from godfit.report.files import PAGE, page_writer, write_result
+from godfit.report.pages import compare_page
 from godfit.report.record import fit_record
 from godfit.report.result import FitResult
 from godfit.report.sheet import QUIET, Grid, Panel, Sheet, picture
@@ -102,11 +103,12 @@ class Comparison:
         with own_style():
             return _plot(self)
 
-    def save(self, folder: str | os.PathLike[str], command: str = "") -> None:
-        """Write compare.json and compare.png into ``folder``. Raises OSError, and warns of
-        pictures that fail."""
+    def save(self, folder: str | os.PathLike[str], command: str = "", page: bool = True) -> None:
+        """Write compare.json, compare.png and, with ``page``, report.html into ``folder``. Raises
+        OSError, and warns of pictures that fail."""
         record = ("compare.json", self.record(command))
-        write_result(Path(folder), record, ("compare.png", self.plot))
+        files = {PAGE: page_writer(lambda: compare_page(self).html())} if page else {}
+        write_result(Path(folder), record, ("compare.png", self.plot), files)
 
 
 def _record(found: Comparison, command: str) -> dict[str, Any]:

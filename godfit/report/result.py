@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
+import tempfile
+import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +20,10 @@ from godfit.io.image import LEVELS, decode, write_image
 from godfit.models.base import AbstractModel
 from godfit.report.figure import plot
 from godfit.report.files import PAGE, page_writer, write_result
-from godfit.report.pages import fit_page
+from godfit.report.live.data import NOTEBOOK_SIDE, page_data
+from godfit.report.live.page import framed
+from godfit.report.live.widget import viewer_widget
+from godfit.report.pages import fit_page, shown
 from godfit.report.record import fit_record
 from godfit.report.style import own_style
 from godfit.report.text import html, summary
@@ -137,7 +142,21 @@ class FitResult:
         write_result(Path(folder), record, ("fit.png", self.plot), files)
 
     def _repr_html_(self) -> str:
-        return html(self)
+        """The table, then the page in a frame, whose shader runs at the first touch."""
+        page = fit_page(self, notebook=True).html()
+        return html(self) + framed(page)
+
+    def show(self) -> str:
+        """Open the page in the browser; returns the file that holds it, in a folder of its own."""
+        path = Path(tempfile.mkdtemp(prefix="godfit-")) / PAGE
+        page_writer(self.page)(path)
+        webbrowser.open(path.as_uri())
+        return str(path)
+
+    def widget(self) -> Any:
+        """The page as a widget of a notebook, whose ``values`` are the sliders'. Raises InputError
+        without the extra ``notebook``."""
+        return viewer_widget(page_data(shown(self), NOTEBOOK_SIDE, eager=False))
 
     def page(self, command: str = "") -> str:
         """report.html: a page that runs the fitted shader in a browser, offline, in one file."""

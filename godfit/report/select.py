@@ -16,7 +16,8 @@ from godfit.inference.settle import Settled, Tangent
 from godfit.io.image import LEVELS
 from godfit.models.base import AbstractModel
 from godfit.report.figure import PANEL_PIXELS, as_shown, worst_channel
-from godfit.report.files import write_result
+from godfit.report.files import PAGE, page_writer, write_result
+from godfit.report.pages import select_page
 from godfit.report.record import fit_record
 from godfit.report.result import FitResult
 from godfit.report.sheet import INK, QUIET, Grid, Panel, Sheet, Words, picture
@@ -142,11 +143,12 @@ class Selection:
         with own_style():
             return _plot(self)
 
-    def save(self, folder: str | os.PathLike[str], command: str = "") -> None:
-        """Write select.json and select.png into ``folder``. Raises OSError, and warns of
-        pictures that fail."""
+    def save(self, folder: str | os.PathLike[str], command: str = "", page: bool = True) -> None:
+        """Write select.json, select.png and, with ``page``, report.html into ``folder``. Raises
+        OSError, and warns of pictures that fail."""
         record = ("select.json", self.record(command))
-        write_result(Path(folder), record, ("select.png", self.plot))
+        files = {PAGE: page_writer(lambda: select_page(self).html())} if page else {}
+        write_result(Path(folder), record, ("select.png", self.plot), files)
 
 
 def _record(found: Selection, command: str) -> dict[str, Any]:

@@ -37,7 +37,7 @@ def drawn_texts(figure, monkeypatch):
 
 
 def faults(figure, monkeypatch):
-    """A line for every text that is cut, and for every two that overlap, by half a pixel or more."""
+    """A line for each text that is cut, and for two that overlap, by half a pixel or more."""
     texts, whole = drawn_texts(figure, monkeypatch), figure.bbox
     found = [
         f"cut: {text}"

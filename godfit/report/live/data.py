@@ -12,7 +12,7 @@ import base64
 import dataclasses
 import functools
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -63,6 +63,12 @@ MOVED = ("exposure", "decay", "density", "weight", "red", "blue")
 """Parameters that a slider moves, beside the lights."""
 UNBOUNDED_LEVELS = 1e30
 """Stands for a level without bound: JSON has no infinity."""
+CLIP_SIDE = 320
+"""Pixels of the longer side of a clip's frames, at most: a page holds many of them."""
+CLIP_FRAMES = 24
+"""Frames of a clip on its page, at most: a second of film, and a few megabytes."""
+CLIP_LIMIT = 4.0
+"""Levels at which the colours of a clip's differences end, the same for all frames."""
 COVERAGE = 1.96
 """Standard errors of a 95% interval."""
 
@@ -199,41 +205,71 @@ def _background(shown: Shown, view: View) -> np.ndarray | None:
 def page_data(shown: Shown, side: int = PAGE_SIDE, eager: bool = True) -> dict[str, Any]:
     """The data of a viewer: a dictionary that JSON holds. With ``eager`` the shader runs at once,
     else at the first touch."""
-    picture, shading = shown.picture, shown.shading
-    view = View.of(picture, side)
+    view = View.of(shown.picture, side)
+    residual = np.abs(shown.levels[view.cut] - shown.picture.levels[view.cut])
+    return {
+        **placed_frame(shown, view),
+        **controls(shown),
+        "limit": max(LEAST_LIMIT, float(np.nanquantile(residual, LIMIT_QUANTILE))),
+        "eager": eager,
+        "where": {name: _map(name, share) for name, share in shown.where.items()},
+    }
+
+
+def placed_frame(shown: Shown, view: View) -> dict[str, Any]:
+    """The images of one picture, and what their numbers mean."""
+    picture = shown.picture
     floor, ceiling = np.clip(picture.ends, -UNBOUNDED_LEVELS, UNBOUNDED_LEVELS)
-    residual = np.abs(shown.levels[view.cut] - picture.levels[view.cut])
-    data: dict[str, Any] = {
+    return {
         "size": list(picture.size[::-1]),
         "stride": view.stride,
         "transfer": picture.transfer,
         "ends": [float(floor), float(ceiling)],
-        "limit": max(LEAST_LIMIT, float(np.nanquantile(residual, LIMIT_QUANTILE))),
-        "eager": eager,
-        "live": shading is not None,
-        "params": [],
-        "lights": [],
-        "where": {name: _map(name, share) for name, share in shown.where.items()},
         **frame(shown, view),
     }
+
+
+def controls(shown: Shown) -> dict[str, Any]:
+    """Sliders, lights, conventions and the text to copy, or the reason why there are none."""
+    shading = shown.shading
     if shading is None:
-        data["reason"] = f"{shown.model.name} is no sum over a mask, which is all that a page runs"
-        return data
+        reason = f"{shown.model.name} is no sum over a mask, which is all that a page runs"
+        return {"live": False, "reason": reason, "params": [], "lights": []}
     params = dict(shown.params)
     lights = [row.name for row in light_parameters(len(shown.model.light))]
     placed = zip(lights, np.asarray(shown.model.light).reshape(-1), strict=True)
     # The light of a scene is where its camera has it.
     params |= {name: Estimate(float(v), None, True) for name, v in placed if name not in params}
-    data["params"] = [
-        slider(name, e, shown.model)
-        for name, e in params.items()
-        if name in MOVED or is_light(name)
-    ]
-    data["lights"] = [lights[i : i + 2] for i in range(0, len(lights), 2)]
-    data["shader"], data["samples"] = shading.shader, int(shading.samples)
-    data["conventions"] = {name: described(shader) for name, shader in CONVENTIONS.items()}
-    data["copy"] = copied_text(shown, [row["name"] for row in data["params"]])
-    return data
+    moved = {name: e for name, e in params.items() if name in MOVED or is_light(name)}
+    rows = [slider(name, e, shown.model) for name, e in moved.items()]
+    return {
+        "live": True,
+        "params": rows,
+        "lights": [lights[i : i + 2] for i in range(0, len(lights), 2)],
+        "shader": shading.shader,
+        "samples": int(shading.samples),
+        "conventions": {name: described(shader) for name, shader in CONVENTIONS.items()},
+        "copy": copied_text(shown, [row["name"] for row in rows]),
+    }
+
+
+def clip_frame(name: str, shown: Shown) -> dict[str, Any]:
+    """One frame of a clip, as a viewer's ``frames`` hold it, with its own light."""
+    u, v = np.asarray(shown.model.light)[0]
+    light = {"light_x": float(u), "light_y": float(v)}
+    return {"name": name, "light": light, **placed_frame(shown, View.of(shown.picture, CLIP_SIDE))}
+
+
+def clip_data(
+    frames: Sequence[Mapping[str, Any]], model: AbstractModel, params: Mapping[str, Estimate]
+) -> dict[str, Any]:
+    """The data of a clip's viewer: the shader that its ``frames`` share, and a slider of frames."""
+    first = frames[0]
+    light = {name: Estimate(value, None, True) for name, value in first["light"].items()}
+    nothing = np.zeros((1, 1, 1), np.float32)
+    picture = Picture(nothing, 0.5, np.ones((1, 1), bool), nothing[..., 0], None, "none")
+    shared = controls(Shown(model, picture, {**params, **light}, nothing))
+    return {**first, **shared, "frames": list(frames), "limit": CLIP_LIMIT, "eager": True}
 
 
 def slider(name: str, e: Estimate, model: AbstractModel) -> dict[str, Any]:

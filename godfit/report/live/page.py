@@ -81,5 +81,11 @@ def plain(text: str) -> str:
     return f"<pre>{html.escape(text)}</pre>"
 
 
+def framed(page: str) -> str:
+    """A page inside another one, as a notebook holds it."""
+    style = "width: 100%; height: 640px; border: 0"
+    return f'<iframe style="{style}" srcdoc="{html.escape(page)}"></iframe>'
+
+
 def _source(name: str) -> str:
     return (HERE / name).read_text(encoding="utf-8")

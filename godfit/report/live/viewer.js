@@ -84,7 +84,7 @@ class Engine {
     if (!gl) throw new Error('this browser has no WebGL2 here (no GPU, or too many pages)');
     if (!gl.getExtension('EXT_color_buffer_float')) throw new Error('WebGL2 renders no floats here');
     this.floats = gl.getExtension('OES_texture_float_linear') !== null;
-    Object.assign(this, {gl, data, programs: {}, images, canvas});
+    Object.assign(this, {gl, all: data, programs: {}, images, canvas});
     this.composite = this.program('composite', COMPOSITE);
     this.display = this.program('display', DISPLAY);
     gl.bindVertexArray(gl.createVertexArray());
@@ -119,6 +119,8 @@ class Engine {
   }
   // The images of a frame as textures, and what the passes render into.
   frame(index) {
+    // The sizes are each frame's own.
+    this.data = {...this.all, ...this.all.frames?.[index]};
     const gl = this.gl, {mask, target, background} = this.images[index];
     for (const old of this.textures ?? []) gl.deleteTexture(old);
     this.mask = mask;
