@@ -16,7 +16,7 @@ from godfit.report.live.page import Page, Section, framed
 from godfit.report.live.widget import viewer_widget
 from godfit.report.pages import clip_page, compare_page, fit_page, select_page
 from godfit.scattering.taps import CONVENTIONS
-from tests.support.browser import launched, levels, opened
+from tests.support.browser import DRAWN, READY, launching, levels, opened, wait_for
 from tests.support.shown_results import clip_result, comparison, fit_result, selection
 
 SIZE = (24, 40)
@@ -40,7 +40,8 @@ def shown_of(shader, half=False, background=False, lights=1):
     if half:
         # As a mask that was scaled down: values between the levels.
         mask = 0.5 * (mask + mask_of(low, 1))
-    model = Mitchell(0.09, 0.93, 0.83, 0.5, LIGHTS[:lights], shader, 20)
+    exposure = 0.9 if CONVENTIONS[shader].box else 0.09
+    model = Mitchell(exposure, 0.93, 0.83, 0.5, LIGHTS[:lights], shader, 20)
     rng = np.random.default_rng(2)
     back = rng.random((*SIZE, 3)).astype(np.float32) * 0.3 if background else None
     channels, transfer = (3, "srgb") if background else (1, "none")
@@ -62,9 +63,14 @@ def stored(folder, html):
 
 
 @pytest.fixture(scope="module")
-def browser():
-    with launched() as found:
+def launch():
+    with launching() as found:
         yield found
+
+
+@pytest.fixture(scope="module")
+def browser(launch):
+    return launch()
 
 
 def test_every_convention_draws_the_programs_picture(browser, tmp_path):
@@ -141,12 +147,10 @@ def test_copied_text_has_the_numbers_on_the_page(browser, tmp_path):
     assert found == pytest.approx({name: e.value for name, e in one.params.items()}, rel=1e-6)
 
 
-def test_without_webgl_there_are_pictures_and_the_reason(tmp_path):
+def test_without_webgl_there_are_pictures_and_the_reason(launch, tmp_path):
     one = shown_of("dawntime")
-    with (
-        launched("--disable-3d-apis", "--no-sandbox") as blind,
-        opened(blind, stored(tmp_path, page_of(one))) as page,
-    ):
+    blind = launch("--disable-3d-apis", "--no-sandbox")
+    with opened(blind, stored(tmp_path, page_of(one))) as page:
         assert "No live shader: this browser has no WebGL2" in page.locator(".why").inner_text()
         drawn = page.evaluate(
             "() => { const c = document.querySelector('.picture');"
@@ -188,10 +192,10 @@ def test_a_page_in_a_frame_starts_at_the_first_touch(browser, tmp_path):
     )
     with opened(browser, stored(tmp_path, outer)) as page:
         frame = page.frames[1]
-        frame.wait_for_function("document.documentElement.dataset.ready === 'yes'")
+        wait_for(frame, READY)
         assert frame.evaluate("document.querySelector('.viewer').viewer.engine()") is None
         page.locator("iframe").hover()
-        frame.wait_for_function("document.querySelector('.viewer').viewer.levels !== undefined")
+        wait_for(frame, DRAWN, 0)
 
 
 def test_the_widget_and_the_page_share_their_values(browser, tmp_path):

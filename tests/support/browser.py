@@ -2,8 +2,9 @@
 
 import os
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import numpy as np
@@ -13,16 +14,16 @@ NAMES = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chro
 """Programs that run a page, the smallest first."""
 SOFTWARE = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")
 """WebGL2 without a GPU."""
-WAIT = 60_000
-"""Milliseconds until a page that is not ready has failed: other work may share the machine."""
-READY = "document.documentElement.dataset.ready === 'yes'"
+WAIT = 60.0
+"""Seconds until a page that is not ready has failed: other work may share the machine."""
+READY = "() => document.documentElement.dataset.ready === 'yes'"
 DRAWN = "(n) => document.querySelectorAll('.viewer')[n].viewer?.levels !== undefined"
 
 
 @contextmanager
-def launched(*arguments: str) -> Iterator[Any]:
-    """A browser with these arguments. Skips the test on a machine without one, and fails it where
-    CI is set."""
+def launching() -> Iterator[Callable[..., Any]]:
+    """What starts a browser with given arguments. Skips the test on a machine without a browser,
+    and fails it where CI is set."""
     program = next(filter(None, map(shutil.which, NAMES)), None)
     if program is None:
         if os.environ.get("CI"):
@@ -30,12 +31,26 @@ def launched(*arguments: str) -> Iterator[Any]:
         pytest.skip("no browser here")
     from playwright.sync_api import sync_playwright
 
-    with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=program, args=list(arguments or SOFTWARE))
-        try:
-            yield browser
-        finally:
-            browser.close()
+    with sync_playwright() as play, ExitStack() as stack:
+
+        def launch(*arguments: str) -> Any:
+            browser = play.chromium.launch(
+                executable_path=program, args=list(arguments or SOFTWARE)
+            )
+            stack.callback(browser.close)
+            return browser
+
+        yield launch
+
+
+def wait_for(page: Any, condition: str, argument: Any = None, errors: Sequence[str] = ()) -> None:
+    """Wait until a JavaScript function is true; ``errors`` fail at once. The browser's own polling
+    needs eval, which the pages forbid."""
+    end = time.monotonic() + WAIT
+    while not page.evaluate(condition, argument):
+        assert not errors, errors
+        assert time.monotonic() < end, condition
+        time.sleep(0.02)
 
 
 @contextmanager
@@ -49,7 +64,7 @@ def opened(browser: Any, url: str, size: tuple[int, int] = (1000, 700)) -> Itera
     page.on("console", lambda said: errors.append(said.text) if said.type == "error" else None)
     try:
         page.goto(url)
-        page.wait_for_function(READY, timeout=WAIT)
+        wait_for(page, READY, errors=errors)
         yield page
         own = url.split("#")[0]
         assert [r for r in requests if r not in (own, "about:srcdoc")] == []
@@ -61,7 +76,7 @@ def opened(browser: Any, url: str, size: tuple[int, int] = (1000, 700)) -> Itera
 def levels(page: Any, viewer: int = 0) -> np.ndarray:
     """(h, w, 3) levels that a viewer of a page has drawn, once its changes are drawn."""
     page.evaluate("() => new Promise((f) => requestAnimationFrame(() => requestAnimationFrame(f)))")
-    page.wait_for_function(DRAWN, arg=viewer, timeout=WAIT)
+    wait_for(page, DRAWN, viewer)
     values, (width, height) = page.evaluate(
         "(n) => { const v = document.querySelectorAll('.viewer')[n].viewer;"
         " return [Array.from(v.levels), v.engine().size]; }",

@@ -444,6 +444,7 @@ export async function render({model, el}) {
     for (const [name, value] of Object.entries(model.get('values')))
       if (state.values[name] !== value) set(name, value, true);
   });
+  paint();
   const hash = new URLSearchParams(location.hash.slice(1));
   if (data.conventions?.[hash.get('shader')]) controls.querySelector('select[name=convention]').value = state.shader = hash.get('shader');
   if (hash.get('samples') > 1) state.samples = +hash.get('samples');
@@ -451,7 +452,6 @@ export async function render({model, el}) {
   for (const p of data.params) if (isFinite(parseFloat(hash.get(p.name)))) set(p.name, +hash.get(p.name));
   if (frames[0].light) for (const [key, value] of Object.entries(frames[0].light)) set(key, value, true);
   place();
-  paint();
   if (!data.live) stop(data.reason);
   else if (data.eager) redraw();
   return () => clearInterval(blink);
