@@ -7,6 +7,7 @@ import functools
 import os
 import tempfile
 import webbrowser
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -136,7 +137,7 @@ class FitResult:
             write_image(path, self.render(), transfer=self.picture.transfer)
 
         record = ("fit.json", self.record(command))
-        files = {"render.png": render}
+        files: dict[str, Callable[[Path], None]] = {"render.png": render}
         if page:
             files[PAGE] = page_writer(lambda: self.page(command))
         write_result(Path(folder), record, ("fit.png", self.plot), files)

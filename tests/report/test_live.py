@@ -1,5 +1,6 @@
 """Pages in a browser: the shader there against the program's sum, and what a user does to it."""
 
+import dataclasses
 import tomllib
 
 import equinox as eqx
@@ -9,7 +10,9 @@ import pytest
 from godfit.errors import InputError
 from godfit.inference.estimates import Estimate
 from godfit.inference.observation import Picture
+from godfit.models.disc_light import DiscLight
 from godfit.models.mitchell import Mitchell
+from godfit.models.tinted import Tinted
 from godfit.report.live.data import Shown, clip_frame, packed, page_data
 from godfit.report.live.glsl import fragment_shader
 from godfit.report.live.page import Page, Section, framed
@@ -49,6 +52,27 @@ def shown_of(shader, half=False, background=False, lights=1):
     picture = Picture(target, 0.5, np.ones(SIZE, bool), mask, back, transfer)
     params = {name: Estimate(float(v), 1e-3) for name, v in model.values().items()}
     return Shown(model, picture, params, picture.rendered(model), command="godfit fit x.png")
+
+
+def bare_shown():
+    """A bare picture in colour: a disc on a veil, on a background of its own."""
+    shading = Mitchell(0.09, 0.93, 0.83, 0.5, LIGHTS[:1], "dawntime", 20)
+    background = [[0.1, 0.15, 0.2], [0.05, -0.02, 0.03], [0.02, 0.01, -0.04]]
+    model = DiscLight(shading, (0.2, 0.02, 0.1), background, (1.2, 0.7))
+    target = np.full((*SIZE, 3), 100, np.float32)
+    open_ = (mask_of(SIZE) > 0.5).astype(np.float32)
+    picture = Picture(target, 0.5, np.ones(SIZE, bool), open_, None, "none", 0.01)
+    params = {name: Estimate(float(v), 1e-3) for name, v in model.values().items()}
+    return Shown(model, picture, params, picture.rendered(model))
+
+
+def tinted_shown():
+    """A coloured light over a grey mask."""
+    one = shown_of("dawntime")
+    model = Tinted(one.model, (1.5, 0.5))
+    picture = dataclasses.replace(one.picture, levels=np.full((*SIZE, 3), 100, np.float32))
+    params = {name: Estimate(float(v), 1e-3) for name, v in model.values().items()}
+    return Shown(model, picture, params, picture.rendered(model))
 
 
 def page_of(*shown, side=1024):
@@ -93,6 +117,15 @@ def test_half_size_passes_backgrounds_and_lights(browser, tmp_path):
         for i, one in enumerate(shown):
             off = np.abs(levels(page, i) - one.levels).max()
             assert off < TOLERANCE, (one.model.shader, off)
+
+
+def test_bare_pictures_and_coloured_lights(browser, tmp_path, single_precision):
+    shown = [bare_shown(), tinted_shown()]
+    with opened(browser, stored(tmp_path, page_of(*shown))) as page:
+        for i, one in enumerate(shown):
+            off = np.abs(levels(page, i) - one.levels).max()
+            assert np.ptp(one.levels[..., 0] - one.levels[..., 2]) > 5
+            assert off < TOLERANCE, (i, off)
 
 
 def test_a_large_picture_is_drawn_at_every_other_pixel(browser, tmp_path):
@@ -161,20 +194,26 @@ def test_without_webgl_there_are_pictures_and_the_reason(launch, tmp_path):
 
 
 def test_pages_of_every_kind_open(browser, tmp_path):
-    frames = clip_result(SIZE)
     shots = [shown_of("dawntime"), shown_of("dawntime", half=True)]
     shots = tuple(clip_frame(f"{i}.png", shot) for i, shot in enumerate(shots))
-    object.__setattr__(frames, "pages", shots)
+    ladder = selection(SIZE)
+    row = ladder.rows[ladder.chosen]
+    rung = dataclasses.replace(
+        row.rung, model=shown_of("dawntime").model, free=np.ones(6, bool), held=np.full(6, np.nan)
+    )
+    rows = list(ladder.rows)
+    rows[ladder.chosen] = dataclasses.replace(row, rung=rung)
+    ladder = dataclasses.replace(ladder, rows=tuple(rows))
     pages = {
         "fit": fit_page(fit_result(SIZE, wordy=True)),
         "compare": compare_page(comparison(SIZE)),
-        "select": select_page(selection(SIZE)),
-        "clip": clip_page(frames),
+        "select": select_page(ladder),
+        "clip": clip_page(dataclasses.replace(clip_result(SIZE), pages=shots)),
     }
     for kind, found in pages.items():
         with opened(browser, stored(tmp_path, found.html())) as page:
             assert page.locator("table").count() > 0, kind
-            assert page.locator(".viewer .picture").count() == page.locator(".viewer").count(), kind
+            assert page.locator(".viewer .picture").count() == page.locator(".viewer").count() > 0
             if kind == "clip":
                 first = levels(page)
                 page.locator("input[name=frame]").evaluate(

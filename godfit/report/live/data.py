@@ -157,7 +157,8 @@ class View(NamedTuple):
 
     @property
     def cut(self) -> tuple[slice, slice]:
-        return (slice(None, None, self.stride),) * 2
+        every = slice(None, None, self.stride)
+        return every, every
 
     @staticmethod
     def of(picture: Picture, side: int) -> View:
