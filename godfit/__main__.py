@@ -41,6 +41,7 @@ from godfit.commands.select import select
 from godfit.commands.shaders import shaders
 from godfit.commands.simplify import simplify
 from godfit.commands.streams import close_streams, open_streams
+from godfit.commands.view import view
 from godfit.errors import InputError, plain
 from godfit.runtime.files import forget_written, written_files
 from godfit.runtime.memory import available_memory
@@ -58,7 +59,7 @@ def cli() -> None:
     """Estimate the parameters of god rays from images."""
 
 
-for command in (fit, compare, select, simplify, render, export, mask, shaders):
+for command in (fit, compare, select, simplify, render, export, mask, view, shaders):
     cli.add_command(command)
 
 

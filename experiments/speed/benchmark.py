@@ -130,8 +130,16 @@ def commands(mask: np.ndarray, target: np.ndarray, firsts: int, repeats: int) ->
         arguments += ["--shader", "dawntime", "--samples", str(SAMPLES)]
         first = [command(arguments, folder / f"cache{i}") for i in range(firsts)]
         later = [command(arguments, folder / "cache0") for _ in range(repeats)]
+        # One after the other, so that both meet the same machine.
+        pairs = [
+            [command([*arguments, page], folder / "cache0")[0] for page in ("--html", "--no-html")]
+            for _ in range(repeats)
+        ]
+        size = (folder / "t.godfit" / "report.html").stat().st_size
     say("command with fit.png, first", statistics.median(s for s, _ in first))
     say("command with fit.png, later", statistics.median(s for s, _ in later))
+    say("what report.html adds", statistics.median(one - other for one, other in pairs))
+    print(f"  {'size of report.html':28s} {size / 1e6:9.2f} MB")
     print(f"  {'memory, first and later':28s} {max(m for _, m in first) - base:9.0f} MB"
           f" {max(m for _, m in later) - base:9.0f} MB")  # fmt: skip
 

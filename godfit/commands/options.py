@@ -105,13 +105,15 @@ PICTURE = combined(
 
 class Run(NamedTuple):
     """How a command runs and where its result goes: the folder (None for the default one), whether
-    stdout gets JSON, the seed of the choice of pixels, and what is printed on stderr."""
+    stdout gets JSON, the seed of the choice of pixels, what is printed on stderr, and whether the
+    folder gets a page."""
 
     output: str | None = None
     as_json: bool = False
     seed: int = 0
     quiet: bool = False
     verbose: bool = False
+    html: bool = True
 
 
 def with_run(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
@@ -144,6 +146,9 @@ RESULT = with_run(
     ),
     QUIET,
     VERBOSE,
+    click.option(
+        "--html/--no-html", default=True, help="Write report.html into the folder. [default: yes]"
+    ),
 )
 
 

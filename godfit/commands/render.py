@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
@@ -25,6 +26,7 @@ from godfit.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
+    from godfit.report.record import Recorded
     from godfit.scattering.conventions import Convention
     from godfit.scenes.scene import Scene
 
@@ -94,7 +96,8 @@ def published_name(context: click.Context, option: click.Parameter, name: str | 
 
 @click.command(cls=RenderCommand)
 @click.argument("mask", metavar="MASK|SCENE.toml")
-@click.option("-o", "--output", required=True, help="Image to write: .png or .npy (linear floats).")
+@click.option("-o", "--output", help="Image to write: .png or .npy (linear floats).")
+@click.option("--html", metavar="FILE", help="Page to write: the shader live, with sliders.")
 @click.option("--model", help="mitchell, hoffman-preetham, volume or flatland. [default: mitchell]")
 @click.option("--params", metavar="FIT.JSON", help="Take shader and parameters from a fit.")
 @SHADER
@@ -191,7 +194,7 @@ def published_name(context: click.Context, option: click.Parameter, name: str | 
     metavar="LEVELS",
     help="Largest error, in 8-bit levels, that a faster method may make. [default: exact]",
 )
-def render(mask: str, output: str, transfer: str, bits: str, **options: Any) -> int:
+def render(mask: str, output: str | None, transfer: str, bits: str, **options: Any) -> int:
     """Render a mask or a scene with given parameters.
 
     Parameters that are not given are the shader's defaults. --model hoffman-preetham takes a mask
@@ -205,7 +208,10 @@ def render(mask: str, output: str, transfer: str, bits: str, **options: Any) -> 
     from godfit.io.image import write_image
     from godfit.report.record import read_params
 
-    check_image_name(output)
+    if output is None and options["html"] is None:
+        raise click.UsageError("expected -o IMAGE or --html FILE, got neither")
+    if output is not None:
+        check_image_name(output)
     start_jax()
     tolerance = options["tolerance"]
     if tolerance is not None and not 0 <= tolerance < float("inf"):
@@ -223,12 +229,14 @@ def render(mask: str, output: str, transfer: str, bits: str, **options: Any) -> 
 
         given = given_options(options, (*FLATLAND_OPTIONS, "steps", "exposure"))
         check_plane_options(given)
+        check_page(options, "flatland")
         image = render_file(mask, recorded | given)
     else:
         for name in given_options(options, FLATLAND_OPTIONS):
             raise click.UsageError(f"{spelled(name)}: expected --model flatland with it")
         image, transfer = on_screen(mask, recorded, transfer, options)
-    write_image(output, image, transfer=transfer, bits=int(bits), exact=True)
+    if output is not None:
+        write_image(output, image, transfer=transfer, bits=int(bits), exact=True)
     return 0
 
 
@@ -285,20 +293,22 @@ def on_screen(
         background = read_image(options["background"], transfer=transfer).values
     if options["composite"]:
         check_composite(scene, kind, background)
+    check_page(options, kind)
     draw = mitchell if kind == "mitchell" else daylight
-    picture = Picture(mask, scene, background, settings, light)
+    picture = Picture(mask, scene, background, settings, light, transfer)
     return draw(picture, options), transfer
 
 
 class Picture(NamedTuple):
     """The inputs of a rendering: the file of the mask or the scene, the ``scene`` if it is one, the
-    ordinary pass, settings, and positions of lights."""
+    ordinary pass, settings, positions of lights, and the encoding of what is written."""
 
     mask: str
     scene: Scene | None
     background: np.ndarray | None
     settings: dict[str, Any]
     light: Lights
+    transfer: str
 
     def check_background(self, size: tuple[int, ...]) -> None:
         """Raise InputError where the ordinary pass is not as large as the picture."""
@@ -308,6 +318,20 @@ class Picture(NamedTuple):
                 f"background: expected {size[1]}x{size[0]} pixels, got "
                 f"{back.shape[1]}x{back.shape[0]}"
             )
+
+
+def check_page(options: dict[str, Any], kind: str) -> None:
+    """Raise UsageError for a page of a model that no page can run."""
+    if options["html"] and kind != "mitchell":
+        raise click.UsageError(f"--html: expected --model mitchell with it, got {kind}")
+
+
+def write_page(path: str, images: Recorded) -> None:
+    """Write a page that runs the shader on its mask."""
+    from godfit.report.files import page_writer
+    from godfit.report.pages import render_page
+
+    page_writer(lambda: render_page(images).html())(Path(path))
 
 
 def check_composite(scene: Scene | None, kind: str, background: np.ndarray | None) -> None:
@@ -344,6 +368,7 @@ def mitchell(picture: Picture, options: dict[str, Any]) -> np.ndarray:
     from godfit.io.image import read_image
     from godfit.io.sources import pass_size, shrink_mask
     from godfit.models.build import mitchell_at
+    from godfit.report.record import Recorded
     from godfit.runtime.device import on_device
     from godfit.runtime.memory import check_memory
     from godfit.scattering.radial import cheapest
@@ -372,6 +397,10 @@ def mitchell(picture: Picture, options: dict[str, Any]) -> np.ndarray:
             background = ordinary_pass(resized(drawn, size))
     else:
         occlusion = shrink_mask(drawn, scale)
+    if options["html"]:
+        write_page(
+            options["html"], Recorded(model, occlusion, background, size, picture.transfer, ())
+        )
     if not options["tolerance"]:
         return render(model, occlusion, background, size)
     low, back = on_device(occlusion), None if background is None else on_device(background)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import click
@@ -28,8 +29,11 @@ from godfit.commands.study import print_result, working
 @click.option("--mask", help="Occlusion mask. [default: the fit's]")
 @click.option("--scene", help="Scene file to draw the mask from.")
 @click.option("--background", help="Ordinary pass. [default: the fit's]")
+@click.option("--html", "page", metavar="FILE", help="Write a page that shows both pictures.")
 @with_run(JSON, QUIET, VERBOSE)
-def simplify(fit_json: str, tolerance: float, by: str, run: Run, **files: Any) -> int:
+def simplify(
+    fit_json: str, tolerance: float, by: str, page: str | None, run: Run, **files: Any
+) -> int:
     """Find the fewest samples and the smallest light pass that reproduce the picture of FIT.JSON.
 
     Decay, density and weight are rescaled to match. Every pixel is compared with the render at the
@@ -44,5 +48,10 @@ def simplify(fit_json: str, tolerance: float, by: str, run: Run, **files: Any) -
             fitted.model, fitted.mask, tolerance, background=fitted.background, size=fitted.size,
             transfer=fitted.transfer, by=by, progress=progress,
         )  # fmt: skip
+        if page is not None:
+            from godfit.report.files import page_writer
+            from godfit.report.pages import simplify_page
+
+            page_writer(lambda: simplify_page(found, fitted).html())(Path(page))
     print_result(found, fitted.notes, run)
     return 0

@@ -251,13 +251,14 @@ def save_result(result: SavedResult, run: Run, folder: Path, names: tuple[str, .
     """Write a result's files ``names`` into ``folder``, the record first, and return a line that
     lists those that were written. Pictures that fail are warned of. Where the record cannot be
     written, the result is printed all the same before the OSError is raised."""
-    from godfit.report.files import PictureNotWritten
+    from godfit.report.files import PAGE, PictureNotWritten
 
+    names += (PAGE,) if run.html else ()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", PictureNotWritten)
         try:
-            result.save(folder, command_line())
+            result.save(folder, command_line(), run.html)
         except OSError:
             print_result(result, (), run)
             raise
@@ -273,7 +274,9 @@ def save_result(result: SavedResult, run: Run, folder: Path, names: tuple[str, .
 class SavedResult(Result, Protocol):
     """A result that has a folder of its own."""
 
-    def save(self, folder: str | os.PathLike[str], command: str = "") -> None: ...
+    def save(
+        self, folder: str | os.PathLike[str], command: str = "", page: bool = True
+    ) -> None: ...
 
 
 def print_result(result: Result, notes: Iterable[str], run: Run, files: str = "") -> None:

@@ -29,7 +29,8 @@ class Estimate:
 class Estimates(NamedTuple):
     """The ``model`` at its parameters, these with their errors, their product
     (``combined``), ``covariance`` (p, p) of the parameters (NaN where not known), sentences on the
-    ``undetermined`` ones, and ``held`` (p,), NaN where free."""
+    ``undetermined`` ones, ``held`` (p,), NaN where free, and the derivatives ``slopes`` (p, p) of
+    the parameters by the coordinates."""
 
     model: AbstractModel
     params: dict[str, Estimate]
@@ -37,6 +38,7 @@ class Estimates(NamedTuple):
     covariance: np.ndarray
     undetermined: tuple[str, ...]
     held: np.ndarray
+    slopes: np.ndarray
 
 
 class Solution(NamedTuple):
@@ -85,9 +87,8 @@ def estimates(model: AbstractModel, solution: Solution, used: np.ndarray) -> Est
         if used[i]
     }
     undetermined = _sentences(open_, names, values, combined)
-    return Estimates(
-        fitted, params, combined, covariance, undetermined, held_at(held, opened, values)
-    )
+    at = held_at(held, opened, values)
+    return Estimates(fitted, params, combined, covariance, undetermined, at, by_coordinate)
 
 
 def held_at(held: np.ndarray, opened: list[int], values: np.ndarray) -> np.ndarray:

@@ -52,9 +52,16 @@ def predicted(z, held, model, observation):
     return observation.predict(model.moved(z, held))
 
 
-@cached_jit
 def occlusion_of(model, mask):
     """(h, w) or (h, w, c) occlusion that the light pass of ``model`` reads, from its ``mask``."""
+    if type(model).occlusion is AbstractModel.occlusion:
+        # The mask itself: a program would be compiled for every size.
+        return mask
+    return _occlusion(model, mask)
+
+
+@cached_jit
+def _occlusion(model, mask):
     return model.occlusion(mask)
 
 

@@ -31,6 +31,15 @@ OUTLIER_SPREADS = 5.0
 LEAST_SPREAD = 0.3
 """Robust standard deviation in levels, at least: rounding alone has 1 / sqrt(12)."""
 
+CELLS = 2304
+"""Cells of the map of information: 64 x 36 on a wide picture, each some tens of pixels wide."""
+CELL_VALUES = 1 << 16
+"""Values that the map is summed over, at most: some thirty in each cell."""
+TINY_INFORMATION = 1e-30
+"""Stands for no information in a divisor."""
+SINGULAR = 1e-9
+"""Eigenvalue of a scaled information, as a share of the largest, up to which it is none."""
+
 
 class Evidence(NamedTuple):
     """The likelihood about the fitted point.
@@ -39,7 +48,8 @@ class Evidence(NamedTuple):
     the outer products of its slopes, ``gradient`` (p,) that of the slopes; ``blunt`` is the
     curvature with the rounding counted as noise, which is the information of least squares.
     ``prediction`` (m,) is in levels, ``score`` (m,) the slope of each value's log-likelihood in
-    units of sigma.
+    units of sigma. ``cells`` (p, p, rows, columns) is the information of least squares, in units of
+    one level of noise, that each cell of the picture holds.
     """
 
     curvature: np.ndarray
@@ -48,6 +58,7 @@ class Evidence(NamedTuple):
     gradient: np.ndarray
     prediction: np.ndarray
     score: np.ndarray
+    cells: np.ndarray
 
     def within(self, ranges: np.ndarray) -> Evidence:
         """The evidence with a prior: coordinates lie within plausible ``ranges`` (p,). Some can
@@ -149,7 +160,59 @@ def evidence(settled: Settled, tangent: Tangent, observation: Observation) -> Ev
         gradient / tangent.scale,
         tangent.prediction,
         np.concatenate([part[4] for part in parts]),
+        cell_information(tangent, observation),
     )
+
+
+def cell_information(tangent: Tangent, observation: Observation) -> np.ndarray:
+    """(p, p, rows, columns) the sum of J^T J over a sample of the values in each cell of the
+    picture. Clipped values have no slope and count nothing."""
+    height, width = observation.size
+    side = max(1, round(math.sqrt(height * width / CELLS)))
+    rows, columns = -(-height // side), -(-width // side)
+    pixels, channels = np.asarray(observation.pixels), observation.channels
+    chosen = np.arange(0, len(pixels), max(1, len(pixels) * channels // CELL_VALUES))
+    values = (chosen[:, None] * channels + np.arange(channels)).reshape(-1)
+    lo, hi = np.asarray(observation.lo)[values], np.asarray(observation.hi)[values]
+    slopes = tangent.jacobian[:, values] * (np.isfinite(lo) & np.isfinite(hi))
+    at = np.repeat(pixels[chosen], channels)
+    cell = at // width // side * columns + at % width // side
+    count = len(slopes)
+    found = np.zeros((count, count, rows * columns), np.float32)
+    for i in range(count):
+        for j in range(i + 1):
+            both = np.bincount(cell, slopes[i] * slopes[j], rows * columns)
+            found[i, j] = found[j, i] = both / (tangent.scale[i] * tangent.scale[j])
+    return found.reshape(count, count, rows, columns)
+
+
+def shares(cells: np.ndarray, free: np.ndarray, slopes: np.ndarray) -> list[np.ndarray | None]:
+    """The share (rows, columns) of the information on each parameter that each cell holds; None for
+    a parameter on which there is none.
+
+    **Arguments:**
+
+    - `cells`: (p, p, rows, columns), as in ``Evidence``.
+    - `free`: (p,) which coordinates were fitted.
+    - `slopes`: (p, p) derivatives of the parameters by the coordinates.
+
+    The estimate of a parameter moves by v^T J r for a residual r, with v the covariance times the
+    parameter's slopes: the variance is a sum over the pixels of (v^T J)^2. What trades with other
+    parameters is so left out.
+    """
+    used = np.flatnonzero(free)
+    part = cells[np.ix_(used, used)].astype(np.float64)
+    information = part.sum((-2, -1))
+    size = np.sqrt(np.maximum(np.diag(information), TINY_INFORMATION))
+    covariance = np.linalg.pinv(information / np.outer(size, size), SINGULAR, hermitian=True)
+    found: list[np.ndarray | None] = []
+    for slope in slopes[:, used]:
+        along = covariance @ (slope / size) / size
+        share = np.einsum("i,ijrc,j->rc", along, part, along)
+        total = share.sum()
+        known = np.isfinite(total) and total > 0
+        found.append(np.maximum(share / total, 0).astype(np.float32) if known else None)
+    return found
 
 
 def undetermined(

@@ -158,11 +158,14 @@ class Staged(AbstractShaded):
         return lit(drawn, background, size=size, pixels=pixels, texels=texels, method=method)
 
     def flat(self, mask: Float[Array, "h w"] | Float[Array, "h w c"]) -> tuple[Mitchell, Any]:
-        scene = self.staged()
-        drawn = rasterise(resized(scene, (mask.shape[0], mask.shape[1])))
+        lit = eqx.tree_at(lambda m: m.light, self.shading, self.light)
+        return lit, self.occlusion(mask)
+
+    def occlusion(self, mask: Float[Array, "h w"]) -> Float[Array, "h w"]:
+        """The mask drawn from the scene, at the size of ``mask``."""
+        drawn = rasterise(resized(self.staged(), (mask.shape[0], mask.shape[1])))
         # A light pass reads an 8-bit mask. The derivative is that of the mask before it is rounded.
-        drawn = drawn + jax.lax.stop_gradient(jnp.round(255 * drawn) / 255 - drawn)
-        return eqx.tree_at(lambda m: m.light, self.shading, on_screen(scene)[None]), drawn
+        return drawn + jax.lax.stop_gradient(jnp.round(255 * drawn) / 255 - drawn)
 
     def _geometry(self) -> Float[Array, " g"]:
         """The free numbers of the scene, in its units."""

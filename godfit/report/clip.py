@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,13 +12,24 @@ import numpy as np
 
 from godfit.inference.estimates import Estimate
 from godfit.models.base import AbstractModel
-from godfit.report.files import write_result
+from godfit.report.files import PAGE, page_writer, write_result
+from godfit.report.pages import clip_page
 from godfit.report.record import SCHEMA, estimate, remarks, versions
+from godfit.report.sheet import ALARM, QUIET, Grid, Panel, Sheet, Words
 from godfit.report.style import own_style
 from godfit.report.text import given, number, parameter_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+COVERAGE = 1.96
+"""Standard errors of a 95% interval."""
+CHART_ASPECT = 0.8
+"""Height of a parameter's chart over its width."""
+PATH_MARGIN = 0.02
+"""Room about the light's path, as a share of the picture."""
+MOST_ASPECT = 12.0
+"""Longer side of the path's panel over its shorter one, at most: a light may leave far."""
 
 
 class Frame(NamedTuple):
@@ -37,7 +49,7 @@ class Frame(NamedTuple):
 class ClipResult:
     """The result of a clip's fit: ``params`` of the shader with their ``covariance`` (6, 6; NaN
     where held, open, or a light's), ``frames`` in their order, ``shown`` (h, w, 3) a small copy of
-    the first."""
+    the first, ``pages`` the frames as the live page has them."""
 
     converged: bool
     message: str
@@ -51,6 +63,7 @@ class ClipResult:
     notes: tuple[str, ...]
     timing_s: dict[str, float]
     shown: np.ndarray
+    pages: tuple[dict[str, Any], ...] = ()
 
     def summary(self) -> str:
         """The table that the command line prints, as plain text."""
@@ -65,11 +78,12 @@ class ClipResult:
         with own_style():
             return _plot(self)
 
-    def save(self, folder: str | os.PathLike[str], command: str = "") -> None:
-        """Write fit.json and fit.png into ``folder``. Raises OSError, and warns of
-        pictures that fail."""
+    def save(self, folder: str | os.PathLike[str], command: str = "", page: bool = True) -> None:
+        """Write fit.json, fit.png and, with ``page``, report.html into ``folder``. Raises
+        OSError, and warns of pictures that fail."""
         record = ("fit.json", self.record(command))
-        write_result(Path(folder), record, ("fit.png", self.plot))
+        files = {PAGE: page_writer(lambda: clip_page(self).html())} if page else {}
+        write_result(Path(folder), record, ("fit.png", self.plot), files)
 
 
 def _summary(result: ClipResult) -> str:
@@ -126,61 +140,80 @@ def _record(result: ClipResult, command: str) -> dict[str, Any]:
 def _plot(result: ClipResult) -> Figure:
     """The light's path over the first frame, and each parameter as fitted to every frame alone,
     with a band for all of them together."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    height, width = result.shown.shape[:2]
     every = result.params | result.combined
     determined = {name: e for name, e in every.items() if e.stderr is not None}
-    tall = 4.6 * min(max(height / width, 0.4), 1.5)
-    figure = Figure(figsize=(5.6 + 2.6 * max(len(determined), 1), tall + 0.9), layout="constrained")
-    FigureCanvasAgg(figure)
-    ratios = [5.2] + [2.6] * len(determined)
-    axes = figure.subplots(1, 1 + len(determined), squeeze=False, width_ratios=ratios)[0]
-    axes[0].imshow(result.shown, extent=(0, 1, 0, 1), aspect=height / width)
-    _path(axes[0], result)
-    axes[0].set_title("the light's path, over the first frame", fontsize=10)
+    state = "converged" if result.converged else "NOT CONVERGED"
+    title = f"{result.model.name}, {given(result.model)}, {len(result.frames)} frames: {state}"
+    blocks: list[Grid | Words] = [_path(result)]
+    if determined:
+        charts = [
+            Panel(
+                f"{name}: {number(e.value, e.stderr)} ± {e.stderr:.2g}", _chart(result, name, e),
+                (("by frame; the band is that of all frames", QUIET),), ticks=True,
+            )
+            for name, e in determined.items()
+        ]  # fmt: skip
+        blocks.append(Grid(tuple(charts), CHART_ASPECT))
+    doubts = [
+        *result.undetermined,
+        *result.warnings,
+        *([] if result.converged else [result.message]),
+    ]
+    blocks.append(Words(tuple((str(text), ALARM) for text in doubts)))
+    return Sheet(title, result.converged, tuple(blocks)).figure()
+
+
+def _chart(result: ClipResult, name: str, whole: Estimate) -> Callable[[Any], Any]:
+    """What draws a parameter over the frames."""
+    stderr = whole.stderr
+    assert stderr is not None
     places = np.arange(1, len(result.frames) + 1)
     used = np.array([not f.message for f in result.frames])
-    for panel, (name, whole) in zip(axes[1:], determined.items(), strict=True):
-        alone = [(f.params | f.combined)[name] for f in result.frames]
-        values = np.array([e.value for e in alone])
-        errors = np.array([e.stderr or np.nan for e in alone])
+    alone = [(f.params | f.combined)[name] for f in result.frames]
+    values = np.array([e.value for e in alone])
+    errors = np.array([e.stderr or np.nan for e in alone])
+
+    def draw(axes: Any) -> None:
+        from matplotlib.ticker import MaxNLocator
+
         for which, colour in ((used, "tab:blue"), (~used, "silver")):
-            panel.errorbar(
-                places[which], values[which], 1.96 * errors[which], fmt="o", ms=4, color=colour,
+            axes.errorbar(
+                places[which], values[which], COVERAGE * errors[which], fmt="o", ms=4, color=colour,
                 elinewidth=1, capsize=2,
             )  # fmt: skip
-        assert whole.stderr is not None
-        low, high = whole.value - 1.96 * whole.stderr, whole.value + 1.96 * whole.stderr
-        panel.axhspan(low, high, color="tab:orange", alpha=0.4, lw=0)
-        reaches = np.abs(values - whole.value) + 1.96 * np.nan_to_num(errors)
+        low, high = whole.value - COVERAGE * stderr, whole.value + COVERAGE * stderr
+        axes.axhspan(low, high, color="tab:orange", alpha=0.4, lw=0)
+        reaches = np.abs(values - whole.value) + COVERAGE * np.nan_to_num(errors)
         # Frames with very large errors do not set the scale.
-        reach = max(1.2 * float(np.median(reaches[used])) if used.any() else 0.0, 8 * whole.stderr)
-        panel.set_ylim(whole.value - reach, whole.value + reach)
-        panel.set_title(f"{name}\n{number(whole.value, whole.stderr)} ± {whole.stderr:.2g}")
-        panel.set_xlabel("frame")
-        panel.tick_params(labelsize=8)
-    state = "converged" if result.converged else "NOT CONVERGED"
-    figure.suptitle(
-        f"{result.model.name}, {given(result.model)}, {len(result.frames)} frames: {state}",
-        fontsize=12,
-        color="black" if result.converged else "firebrick",
-    )
-    return figure
+        reach = max(1.2 * float(np.median(reaches[used])) if used.any() else 0.0, 8 * stderr)
+        axes.set_ylim(whole.value - reach, whole.value + reach)
+        axes.set_xlim(0.5, len(places) + 0.5)
+        axes.xaxis.set_major_locator(MaxNLocator(4, integer=True))
+        axes.yaxis.set_major_locator(MaxNLocator(4))
+        # An offset beside the axis would stand on the title.
+        axes.yaxis.set_major_formatter(lambda value, _: f"{value:.6g}")
+        axes.tick_params(labelsize=8)
+
+    return draw
 
 
-def _path(axes: Any, result: ClipResult) -> None:
-    used = [f for f in result.frames if not f.message]
-    if used:
-        at = np.array([f.light for f in used])
+def _path(result: ClipResult) -> Grid:
+    """The light of every frame over the first one, whose frame it may leave."""
+    height, width = result.shown.shape[:2]
+    at = np.array([f.light for f in result.frames if not f.message]).reshape(-1, 2)
+    low = np.minimum(at.min(0, initial=0.0), 0.0) - PATH_MARGIN
+    high = np.maximum(at.max(0, initial=1.0), 1.0) + PATH_MARGIN
+
+    def draw(axes: Any) -> None:
+        axes.imshow(result.shown, extent=(0, 1, 0, 1), aspect="auto")
         axes.plot(at[:, 0], at[:, 1], "-", color="black", lw=2.5)
         axes.plot(at[:, 0], at[:, 1], "-", color="gold", lw=1.3)
         axes.plot(at[:, 0], at[:, 1], "o", ms=5, mfc="gold", mec="black", mew=0.8)
-        axes.annotate(
-            "first", at[0], xytext=(6, 6), textcoords="offset points", fontsize=8, color="gold"
-        )
-        low, high = np.minimum(at.min(0), 0) - 0.02, np.maximum(at.max(0), 1) + 0.02
+        axes.plot(at[:1, 0], at[:1, 1], "o", ms=12, mfc="none", mec="gold", mew=1.5)
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
-    axes.tick_params(labelsize=8)
+
+    tall, wide = height * (high[1] - low[1]), width * (high[0] - low[0])
+    words = (("the ring is the first frame", QUIET),)
+    panel = Panel("the light's path, over the first frame", draw, words)
+    return Grid((panel,), float(np.clip(tall / wide, 1 / MOST_ASPECT, MOST_ASPECT)))

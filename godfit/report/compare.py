@@ -10,11 +10,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from godfit.inference.criteria import CLEAR
-from godfit.io.image import LEVELS, encode
-from godfit.report.figure import worst_channel
-from godfit.report.files import write_result
+from godfit.io.image import LEVELS
+from godfit.report.figure import (
+    PANEL_PIXELS,
+    as_shown,
+    limit_of,
+    residual_caption,
+    worst_channel,
+)
+from godfit.report.files import PAGE, page_writer, write_result
+from godfit.report.pages import compare_page
 from godfit.report.record import fit_record
 from godfit.report.result import FitResult
+from godfit.report.sheet import QUIET, Grid, Panel, Sheet, picture
 from godfit.report.style import own_style
 
 if TYPE_CHECKING:
@@ -95,11 +103,12 @@ class Comparison:
         with own_style():
             return _plot(self)
 
-    def save(self, folder: str | os.PathLike[str], command: str = "") -> None:
-        """Write compare.json and compare.png into ``folder``. Raises OSError, and warns of
-        pictures that fail."""
+    def save(self, folder: str | os.PathLike[str], command: str = "", page: bool = True) -> None:
+        """Write compare.json, compare.png and, with ``page``, report.html into ``folder``. Raises
+        OSError, and warns of pictures that fail."""
         record = ("compare.json", self.record(command))
-        write_result(Path(folder), record, ("compare.png", self.plot))
+        files = {PAGE: page_writer(lambda: compare_page(self).html())} if page else {}
+        write_result(Path(folder), record, ("compare.png", self.plot), files)
 
 
 def _record(found: Comparison, command: str) -> dict[str, Any]:
@@ -121,33 +130,22 @@ def _record(found: Comparison, command: str) -> dict[str, Any]:
 
 def _plot(found: Comparison) -> Figure:
     """The target and every fit above, what each leaves below."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    count = len(found.rows) + 1
     height, width = found.target.shape[:2]
-    tall = 3.0 * min(max(height / width, 0.3), 2.0)
-    figure = Figure(figsize=(3.2 * count, 2 * tall + 1.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(2, count, squeeze=False)
-    step = max(1, max(height, width) // 768)
-    residuals = [worst_channel(row.result.residual) for row in found.rows]
-    limit = max(1.0, min(float(np.nanquantile(np.abs(r), 0.99)) for r in residuals))
-    picture = found.rows[0].result.picture
-    axes[0, 0].imshow(np.clip(picture.levels / np.float32(LEVELS), 0, 1)[::step, ::step])
-    axes[0, 0].set_title("target", fontsize=10)
-    axes[1, 0].axis("off")
-    axes[1, 0].text(0, 1, found.sentence, wrap=True, va="top", fontsize=9)
-    for i, (row, residual) in enumerate(zip(found.rows, residuals, strict=True), 1):
-        fitted = np.asarray(encode(row.result.render(), picture.transfer))
-        axes[0, i].imshow(fitted[::step, ::step])
-        axes[0, i].set_title(f"{row.name}\n{row.result.rmse_levels:.2f} levels rms", fontsize=10)
-        shown = axes[1, i].imshow(
-            residual[::step, ::step], cmap="RdBu_r", vmin=-limit, vmax=limit,
-            interpolation="nearest",
-        )  # fmt: skip
-    figure.colorbar(shown, ax=axes[1, 1:], label="fitted - target, levels", shrink=0.9)
-    for panel in axes.flat:
-        panel.set_xticks([])
-        panel.set_yticks([])
-    return figure
+    cut = (slice(None, None, -(-max(height, width) // PANEL_PIXELS)),) * 2
+    residuals = [worst_channel(row.result.residual[cut]) for row in found.rows]
+    # One scale for all, which the best of them fills.
+    limit = min(map(limit_of, residuals))
+    target = found.rows[0].result.picture.levels[cut] / np.float32(LEVELS)
+    above = [Panel("target", picture(as_shown(target)))]
+    below = []
+    for i, (row, residual) in enumerate(zip(found.rows, residuals, strict=True)):
+        lights = np.asarray(row.result.model.light)
+        fitted = as_shown(row.result.levels[cut] / np.float32(LEVELS))
+        words = ((f"{row.result.rmse_levels:.2f} levels rms", QUIET),)
+        above.append(Panel(row.name, picture(fitted, lights), words, strong=i == 0))
+        words = ((residual_caption(row.result), QUIET),)
+        title = f"{row.name}: fitted - target, levels"
+        below.append(Panel(title, picture(residual, limit=limit), words, limit))
+    aspect = height / width
+    blocks = Grid(tuple(above), aspect), Grid(tuple(below), aspect)
+    return Sheet(found.sentence, found.best.result.converged, blocks).figure()

@@ -1,13 +1,17 @@
-"""fit.png: target, fitted image, residual and parameters."""
+"""fit.png: target, mask, fitted image, residual, where the numbers come from, and parameters."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from godfit.io.image import LEVELS, encode
-from godfit.report.text import given, rows
+from godfit.inference.noise import WITHIN_ROUNDING
+from godfit.io.image import LEVELS
+from godfit.report.sheet import ALARM, INK, QUIET, Grid, Line, Panel, Sheet, Words, picture
+from godfit.report.text import given, half_sentence, rows
+from godfit.scattering.parameters import is_light
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,79 +24,58 @@ LIMIT_QUANTILE = 0.998
 """Quantile of the residual's size at which its colours end: single pixels do not set the scale."""
 LEAST_LIMIT = 0.5
 """Levels at which the residual's colours end, at least: less is rounding."""
+SOURCES = {"density": "#e66100", "decay": "#1a85ff", "light": "#2ca02c"}
+"""The colours of what the map of information shows."""
+DIMMED = 0.35
+"""Brightness of the target under the map of information, so that its colours are visible."""
 
 
 def plot(result: FitResult) -> Figure:
-    """Target, fitted and residual side by side, the light marked, the parameters below."""
-    # Without pyplot: it would open a window system, and its figures have to be closed.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    picture = result.picture
-    height, width = picture.size
+    """Target, mask, fitted and residual, the light marked, the parameters below."""
+    image, height, width = result.picture, *result.picture.size
     # More pixels than the panels have would only take memory.
-    subsampled = (slice(None, None, -(-max(height, width) // PANEL_PIXELS)),) * 2
-    residual = worst_channel(result.residual[subsampled])
-    known = np.abs(residual[np.isfinite(residual)])
-    limit = LEAST_LIMIT
-    if known.size:
-        limit = max(LEAST_LIMIT, float(np.quantile(known, LIMIT_QUANTILE)))
-    fitted = np.asarray(encode(result.render()[subsampled], picture.transfer))
-    target = picture.levels[subsampled] / np.float32(LEVELS)
-    panels = [
-        ("target", target if target.shape[-1] == 3 else target[..., 0]),
-        ("fitted", fitted),
-        ("fitted - target, levels", residual),
-    ]
-    if picture.foreign:
-        # No mask was given: the estimated one is shown. The square root brightens faint parts.
-        panels.insert(1, ("estimated mask, square root", np.sqrt(result.mask[subsampled])))
-    # Laid out by hand, in inches: matplotlib's own layout draws everything several times over.
-    lines = -(-len(result.params) // 2) + len(_remarks(result)) + 1
-    wide, tall, gap = 4.0, 4.0 * min(max(height / width, 0.3), 2.0), 0.45
-    text = max(1.35, 0.19 * lines)
-    whole = (len(panels) * (wide + gap) + 0.9, tall + text + 1.0)
-    figure = Figure(figsize=whole)
-    FigureCanvasAgg(figure)
-
-    def place(left: float, bottom: float, right: float, top: float):
-        return (
-            left / whole[0], bottom / whole[1], (right - left) / whole[0], (top - bottom) / whole[1]
-        )  # fmt: skip
-
-    for column, (title, image) in enumerate(panels):
-        left = gap + column * (wide + gap)
-        axes = figure.add_axes(place(left, text + 0.3, left + wide, text + 0.3 + tall))
-        signed = image is residual
-        shown = axes.imshow(
-            image,
-            cmap="RdBu_r" if signed else "gray",
-            vmin=-limit if signed else 0,
-            vmax=limit if signed else 1,
-            extent=(0, 1, 0, 1),
-            aspect="auto",
-            interpolation="nearest",
+    cut = (slice(None, None, -(-max(height, width) // PANEL_PIXELS)),) * 2
+    lights = np.asarray(result.model.light)
+    residual = worst_channel(result.residual[cut])
+    limit = limit_of(residual)
+    target = as_shown(image.levels[cut] / np.float32(LEVELS))
+    fitted = as_shown(result.levels[cut] / np.float32(LEVELS))
+    panels = [Panel("target", picture(target, lights))]
+    mask = mask_panel(result, lights)
+    panels += [mask] if mask else []
+    panels += [
+        Panel("fitted", picture(fitted, lights)),
+        Panel(
+            "fitted - target, levels", picture(residual, lights, limit),
+            ((residual_caption(result), QUIET),), limit,
+        ),
+    ]  # fmt: skip
+    maps = by_source(result.where)
+    if maps:
+        captions = tuple(
+            (half_sentence(name, share), SOURCES[name]) for name, share in maps.items()
         )
-        axes.set_title(title, fontsize=11)
-        axes.set_xticks([0, 0.5, 1])
-        axes.set_yticks([0, 0.5, 1])
-        axes.tick_params(labelsize=8)
-        if signed:
-            beside = place(left + wide + 0.1, text + 0.3, left + wide + 0.25, text + 0.3 + tall)
-            figure.colorbar(shown, cax=figure.add_axes(beside)).ax.tick_params(labelsize=8)
-        for u, v in np.asarray(result.model.light):
-            _mark_light(axes, float(u), float(v))
-    _write_parameters(figure.add_axes(place(gap, 0.05, whole[0] - gap, text)), result)
+        panels.append(Panel("where the numbers come from", _sources(target, maps), captions))
     state = "converged" if result.converged else "NOT CONVERGED"
-    figure.suptitle(
+    title = (
         f"{result.model.name}, {given(result.model)}: {state}, residual "
-        f"{result.rmse_levels:.2f} levels rms",
-        fontsize=12,
-        y=1 - 0.12 / whole[1],
-        va="top",
-        color="black" if result.converged else "firebrick",
+        f"{result.rmse_levels:.2f} levels rms"
     )
-    return figure
+    blocks = Grid(tuple(panels), height / width), Words(parameter_lines(result.params), mono=True)
+    return Sheet(title, result.converged, (*blocks, Words(_remarks(result)))).figure()
+
+
+def as_shown(image: np.ndarray) -> np.ndarray:
+    """(h, w) or (h, w, 3) as a panel draws it."""
+    return image[..., 0] if image.ndim == 3 and image.shape[-1] == 1 else image
+
+
+def limit_of(residual: np.ndarray) -> float:
+    """The level at which the colours of a residual end."""
+    known = np.abs(residual[np.isfinite(residual)])
+    return (
+        max(LEAST_LIMIT, float(np.quantile(known, LIMIT_QUANTILE))) if known.size else LEAST_LIMIT
+    )
 
 
 def worst_channel(residual: np.ndarray) -> np.ndarray:
@@ -103,39 +86,64 @@ def worst_channel(residual: np.ndarray) -> np.ndarray:
     return np.take_along_axis(residual, worst[..., None], -1)[..., 0]
 
 
-def _mark_light(axes, u: float, v: float) -> None:
-    """A ring at the light, or an arrow at the frame towards a light outside."""
-    if 0 <= u <= 1 and 0 <= v <= 1:
-        axes.plot(u, v, "o", ms=11, mfc="none", mec="black", mew=2.5)
-        axes.plot(u, v, "o", ms=11, mfc="none", mec="gold", mew=1.3)
-        return
-    away = np.array([u, v]) - 0.5
-    edge = 0.5 + away * (0.47 / np.abs(away).max())
-    tail = edge - 0.12 * away / np.hypot(*away)
-    axes.annotate(
-        "",
-        xy=tuple(edge),
-        xytext=tuple(tail),
-        arrowprops={"arrowstyle": "-|>", "color": "gold", "lw": 2.5, "ec": "black"},
+def mask_panel(result: FitResult, lights: np.ndarray) -> Panel | None:
+    """The mask that the light pass read, given or estimated; None where it is no picture."""
+    mask = result.mask
+    if mask.ndim not in (2, 3) or (mask.ndim == 3 and mask.shape[-1] not in (1, 3)):
+        return None
+    mask = mask[(slice(None, None, -(-max(mask.shape[:2]) // PANEL_PIXELS)),) * 2]
+    title = "mask"
+    if result.picture.foreign:
+        # The square root brightens faint parts.
+        title, mask = "estimated mask, square root", np.sqrt(np.maximum(mask, 0))
+    return Panel(title, picture(as_shown(mask), lights))
+
+
+def residual_caption(result: FitResult) -> str:
+    """A sentence on what the residual shows."""
+    if not result.converged:
+        return "what is left is more than noise: the model, the mask or the answer differs here"
+    if result.picture.half > 0 and result.noise_levels <= WITHIN_ROUNDING:
+        return "only rounding is left: as good as it gets"
+    return f"what is left resembles noise of {result.noise_levels:.2g} levels"
+
+
+def by_source(where: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The maps of density, decay and the lights, these together, as far as they are known."""
+    found = {name: where[name] for name in ("density", "decay") if name in where}
+    lights = [share for name, share in where.items() if is_light(name)]
+    return found | ({"light": np.mean(lights, 0)} if lights else {})
+
+
+def _sources(target: np.ndarray, maps: Mapping[str, np.ndarray]) -> Any:
+    """What draws the maps over the dimmed target, each in its colour."""
+
+    def draw(axes: Any) -> Any:
+        from matplotlib.colors import to_rgb
+
+        grey = target if target.ndim == 2 else target.mean(-1)
+        whole = {"extent": (0, 1, 0, 1), "aspect": "auto"}
+        axes.imshow(np.clip(grey, 0, 1) * DIMMED, cmap="gray", vmin=0, vmax=1, **whole)
+        # The square root makes the faint parts visible.
+        strength = {n: np.sqrt(share / max(share.max(), 1e-30)) for n, share in maps.items()}
+        colour = sum(s[..., None] * np.array(to_rgb(SOURCES[n])) for n, s in strength.items())
+        alpha = np.max(list(strength.values()), 0)
+        layer = np.clip(np.concatenate([np.asarray(colour), alpha[..., None]], -1), 0, 1)
+        return axes.imshow(layer, interpolation="bilinear", **whole)
+
+    return draw
+
+
+def parameter_lines(params: Mapping[str, Any]) -> tuple[Line, ...]:
+    """The rows of the table of parameters."""
+    wide = max(9, *map(len, params)) if params else 9
+    return tuple(
+        (f"{name:<{wide}} {value:>12} \N{PLUS-MINUS SIGN} {error:<18} {remark}".rstrip(), INK)
+        for name, value, error, remark in rows(params)
     )
 
 
-def _write_parameters(axes, result: FitResult) -> None:
-    axes.axis("off")
-    wide = max(9, *map(len, result.params))
-    lines = [
-        f"{name:<{wide}} {value:>12} \N{PLUS-MINUS SIGN} {error:<18} {remark}".rstrip()
-        for name, value, error, remark in rows(result.params)
-    ]
-    half = (len(lines) + 1) // 2
-    style: dict[str, Any] = {"family": "monospace", "fontsize": 9, "va": "top"}
-    axes.text(0.0, 1.0, "\n".join(lines[:half]), **style)
-    axes.text(0.5, 1.0, "\n".join(lines[half:]), **style)
-    style |= {"family": "sans-serif", "fontsize": 8, "va": "bottom", "color": "firebrick"}
-    axes.text(0.0, 0.0, "\n".join(_remarks(result)), **style)
-
-
-def _remarks(result: FitResult) -> list[str]:
+def _remarks(result: FitResult) -> tuple[Line, ...]:
     """Sentences: what is open, what may be wrong, and why the fit did not converge."""
     remarks = [*result.undetermined, *result.warnings]
-    return remarks + ([] if result.converged else [result.message])
+    return tuple((str(r), ALARM) for r in remarks + ([] if result.converged else [result.message]))

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from godfit.errors import InputError
+from godfit.report.sheet import DPI
 from godfit.report.style import own_style
 from godfit.runtime.files import atomic_write
 from godfit.runtime.parallel import parallel_map
@@ -17,8 +18,9 @@ from godfit.runtime.parallel import parallel_map
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DPI = 100
-"""Pixels an inch of a figure: panels of 4 inches hold pictures of 400 pixels without scaling."""
+
+PAGE = "report.html"
+"""The page of a result, in its folder."""
 
 
 class PictureNotWritten(UserWarning):
@@ -73,3 +75,12 @@ def write_result(
     for failed in parallel_map(failure, pictures):
         if failed is not None:
             warnings.warn(failed, stacklevel=3)
+
+
+def page_writer(page: Callable[[], str]) -> Callable[[Path], None]:
+    """What writes a page to a path, whole or not at all."""
+
+    def write(path: Path) -> None:
+        atomic_write(path, page().encode("utf-8", "backslashreplace"))
+
+    return write

@@ -5,6 +5,9 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
+import tempfile
+import webbrowser
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +21,11 @@ from godfit.inference.problem import Problem
 from godfit.io.image import LEVELS, decode, write_image
 from godfit.models.base import AbstractModel
 from godfit.report.figure import plot
-from godfit.report.files import write_result
+from godfit.report.files import PAGE, page_writer, write_result
+from godfit.report.live.data import NOTEBOOK_SIDE, page_data
+from godfit.report.live.page import framed
+from godfit.report.live.widget import viewer_widget
+from godfit.report.pages import fit_page, shown
 from godfit.report.record import fit_record
 from godfit.report.style import own_style
 from godfit.report.text import html, summary
@@ -44,7 +51,8 @@ class FitResult:
     ``residual_tails`` their kurtosis, near 3 for Gaussian noise. With ``simulated``, values and
     errors allow for the target's processing, see ``inference/indirect_inference.py``; the
     likelihood does not. ``pass_scale`` is the size of the light pass relative to the mask that was
-    given, None without one.
+    given, None without one. ``where`` has, for each determined parameter, the share (rows, columns)
+    of the information on it that each cell of the picture holds.
     """
 
     converged: bool
@@ -77,6 +85,7 @@ class FitResult:
     pass_scale: float | None = None
     prior: Prior = dataclasses.field(default_factory=dict)
     inputs: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
+    where: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
 
     @property
     def problem(self) -> Problem:
@@ -84,13 +93,14 @@ class FitResult:
         return Problem(self.model, self.picture, self.free, self.held, self.seed, prior=self.prior)
 
     @functools.cached_property
-    def _levels(self) -> np.ndarray:
+    def levels(self) -> np.ndarray:
+        """(h, w, c) levels of the fitted image in the target's encoding, not rounded."""
         with as_guest():
             return self.picture.rendered(self.model)
 
     def render(self) -> np.ndarray:
         """The fitted image, linear, clamped to [0, 1]; shaped like the target."""
-        levels = self._levels / np.float32(LEVELS)
+        levels = self.levels / np.float32(LEVELS)
         with as_guest():
             image = np.asarray(decode(levels, self.picture.transfer))
         return image if image.shape[-1] == 3 else image[..., 0]
@@ -104,7 +114,7 @@ class FitResult:
     @property
     def residual(self) -> np.ndarray:
         """Fitted minus target in levels, both clamped to the scale, NaN where ignored."""
-        residual = self._levels - self.picture.levels
+        residual = self.levels - self.picture.levels
         residual[~self.picture.valid] = np.nan
         return residual if residual.shape[-1] == 3 else residual[..., 0]
 
@@ -121,15 +131,36 @@ class FitResult:
         with as_guest(), own_style():
             return plot(self)
 
-    def save(self, folder: str | os.PathLike[str], command: str = "") -> None:
-        """Write fit.json, fit.png and render.png into ``folder``. Raises OSError, and warns of
-        pictures that fail."""
+    def save(self, folder: str | os.PathLike[str], command: str = "", page: bool = True) -> None:
+        """Write fit.json, fit.png, render.png and, with ``page``, report.html into ``folder``.
+        Raises OSError, and warns of pictures that fail."""
 
         def render(path: Path) -> None:
             write_image(path, self.render(), transfer=self.picture.transfer, exact=True)
 
         record = ("fit.json", self.record(command))
-        write_result(Path(folder), record, ("fit.png", self.plot), {"render.png": render})
+        files: dict[str, Callable[[Path], None]] = {"render.png": render}
+        if page:
+            files[PAGE] = page_writer(lambda: self.page(command))
+        write_result(Path(folder), record, ("fit.png", self.plot), files)
 
     def _repr_html_(self) -> str:
-        return html(self)
+        """The table, then the page in a frame, whose shader runs at the first touch."""
+        page = fit_page(self, notebook=True).html()
+        return html(self) + framed(page)
+
+    def show(self) -> str:
+        """Open the page in the browser; returns the file that holds it, in a folder of its own."""
+        path = Path(tempfile.mkdtemp(prefix="godfit-")) / PAGE
+        page_writer(self.page)(path)
+        webbrowser.open(path.as_uri())
+        return str(path)
+
+    def widget(self) -> Any:
+        """The page as a widget of a notebook, whose ``values`` are the sliders'. Raises InputError
+        without the extra ``notebook``."""
+        return viewer_widget(page_data(shown(self), NOTEBOOK_SIDE, eager=False))
+
+    def page(self, command: str = "") -> str:
+        """report.html: a page that runs the fitted shader in a browser, offline, in one file."""
+        return fit_page(self, command).html()

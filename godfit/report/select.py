@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,14 +15,21 @@ from godfit.inference.observation import Picture
 from godfit.inference.settle import Settled, Tangent
 from godfit.io.image import LEVELS
 from godfit.models.base import AbstractModel
-from godfit.report.figure import worst_channel
-from godfit.report.files import write_result
+from godfit.report.figure import PANEL_PIXELS, as_shown, worst_channel
+from godfit.report.files import PAGE, page_writer, write_result
+from godfit.report.pages import select_page
 from godfit.report.record import fit_record
 from godfit.report.result import FitResult
+from godfit.report.sheet import INK, QUIET, Grid, Panel, Sheet, Words, picture
 from godfit.report.style import own_style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+CHART_ASPECT = 0.2
+"""Height of the chart of criteria over its width."""
+LEAST_BAR = 0.1
+"""Shortest bar of the chart, whose scale is logarithmic."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -135,11 +143,12 @@ class Selection:
         with own_style():
             return _plot(self)
 
-    def save(self, folder: str | os.PathLike[str], command: str = "") -> None:
-        """Write select.json and select.png into ``folder``. Raises OSError, and warns of
-        pictures that fail."""
+    def save(self, folder: str | os.PathLike[str], command: str = "", page: bool = True) -> None:
+        """Write select.json, select.png and, with ``page``, report.html into ``folder``. Raises
+        OSError, and warns of pictures that fail."""
         record = ("select.json", self.record(command))
-        write_result(Path(folder), record, ("select.png", self.plot))
+        files = {PAGE: page_writer(lambda: select_page(self).html())} if page else {}
+        write_result(Path(folder), record, ("select.png", self.plot), files)
 
 
 def _record(found: Selection, command: str) -> dict[str, Any]:
@@ -176,48 +185,55 @@ def _record(found: Selection, command: str) -> dict[str, Any]:
 
 def _plot(found: Selection) -> Figure:
     """The target, the residual of every rung, and the criteria over the unknowns."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    picture, rows = found.base.picture, found.rows
-    count = len(rows) + 1
-    height, width = picture.size
-    tall = 2.4 * min(max(height / width, 0.3), 2.0)
-    figure = Figure(figsize=(2.4 * count, tall + 3.0), layout="constrained")
-    FigureCanvasAgg(figure)
-    above, below = figure.subfigures(2, 1, height_ratios=[tall + 0.4, 2.6])  # pyright: ignore
-    axes = above.subplots(1, count, squeeze=False)[0]
-    step = max(1, max(height, width) // 512)
-    target = np.clip(picture.levels / np.float32(LEVELS), 0, 1)
-    target = np.broadcast_to(target, (height, width, 3))
-    axes[0].imshow(target[::step, ::step])
-    axes[0].set_title("target", fontsize=9)
-    residuals = [_residual(row.rung, picture) for row in rows]
+    image, rows = found.base.picture, found.rows
+    height, width = image.size
+    cut = (slice(None, None, -(-max(height, width) // PANEL_PIXELS)),) * 2
+    panels = [Panel("target", picture(as_shown(image.levels[cut] / np.float32(LEVELS))))]
     # The same colours for all: the recommended one's residual must be visible as well.
     limit = max(1.0, 3 * rows[found.chosen].rmse)
-    for i, (panel, row, residual) in enumerate(zip(axes[1:], rows, residuals, strict=True)):
-        shown = panel.imshow(
-            worst_channel(residual)[::step, ::step], cmap="RdBu_r", vmin=-limit, vmax=limit,
-            interpolation="nearest",
-        )  # fmt: skip
-        bold = "bold" if i == found.chosen else "normal"
-        panel.set_title(f"{row.rung.name}\n{row.rmse:.3g} levels rms", fontsize=9, weight=bold)
-    above.colorbar(shown, ax=list(axes[1:]), label="fitted - target, levels", shrink=0.9)
-    for panel in axes:
-        panel.set_xticks([])
-        panel.set_yticks([])
-    chart = below.add_subplot()
-    least = min(row.bic for row in rows)
-    ahead = [max(row.bic - least, 0.1) for row in rows]
-    names = [f"{row.rung.name}\n{row.rung.parameters} unknowns" for row in rows]
-    colours = ["tab:blue" if i == found.chosen else "silver" for i in range(len(rows))]
-    chart.bar(names, ahead, color=colours, bottom=0.05)
-    chart.axhline(CLEAR, color="black", lw=0.8, ls="--")
-    chart.set_yscale("log")
-    chart.set_ylabel("BIC above the least", fontsize=9)
-    chart.tick_params(labelsize=8)
-    chart.set_title(found.sentence, fontsize=9, wrap=True)
-    return figure
+    for i, row in enumerate(rows):
+        residual = worst_channel(_residual(row.rung, image))[cut]
+        words = ((f"fitted - target; {row.rmse:.3g} levels rms", QUIET),)
+        title, strong = f"{i + 1}. {row.rung.name}", i == found.chosen
+        panels.append(Panel(title, picture(residual, limit=limit), words, limit, strong=strong))
+    chart = Panel("BIC above the least, by rung", _chart(found), ticks=True)
+    blocks = Grid(tuple(panels), height / width), Grid((chart,), CHART_ASPECT), _rungs(found)
+    return Sheet(found.sentence, found.recommended.like_noise, blocks).figure()
+
+
+def _chart(found: Selection) -> Callable[[Any], Any]:
+    """What draws the criterion of every rung, with the limit from which it is clear."""
+    least = min(row.bic for row in found.rows)
+    ahead = [max(row.bic - least, LEAST_BAR) for row in found.rows]
+    colours = ["tab:blue" if i == found.chosen else "silver" for i in range(len(ahead))]
+
+    def draw(axes: Any) -> None:
+        axes.bar(range(1, len(ahead) + 1), ahead, color=colours, bottom=LEAST_BAR / 2)
+        axes.axhline(CLEAR, color="black", lw=0.8, ls="--")
+        axes.set_yscale("log")
+        # Powers would be set as formulas, and each takes longer than the rest of the chart.
+        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        axes.minorticks_off()
+        axes.set_xticks(range(1, len(ahead) + 1))
+        axes.tick_params(labelsize=8)
+
+    return draw
+
+
+def _rungs(found: Selection) -> Words:
+    """The rows of the chart: number, name, unknowns and residual of every rung."""
+    wide = max(len(row.rung.name) for row in found.rows)
+    return Words(
+        tuple(
+            (
+                f"{i + 1}. {row.rung.name:<{wide}} {row.rung.parameters:>3} unknowns, "
+                f"{row.rmse:.3g} levels rms",
+                INK,
+            )
+            for i, row in enumerate(found.rows)
+        ),
+        mono=True,
+    )
 
 
 def _residual(rung: Rung, picture: Picture) -> np.ndarray:

@@ -7,6 +7,8 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
     from godfit.inference.estimates import Estimate
     from godfit.models.base import AbstractModel
@@ -90,6 +92,15 @@ def summary(result: FitResult) -> str:
     lines += [f"  warning: {sentence}" for sentence in result.warnings]
     lines += ["", f"  {'converged' if result.converged else 'not converged: ' + result.message}"]
     return "\n".join(lines)
+
+
+def half_sentence(name: str, share: np.ndarray) -> str:
+    """How small a part of the picture holds half of the information on a parameter, whose ``share``
+    (rows, columns) each cell has."""
+    ordered = np.sort(share.reshape(-1))[::-1]
+    half = int(np.searchsorted(ordered.cumsum(), ordered.sum() / 2)) + 1
+    percent = 100 * half / share.size
+    return f"half of the information on {name} is in {percent:.2g}% of the picture"
 
 
 def html(result: FitResult) -> str:

@@ -13,7 +13,7 @@ from godfit.inference import diagnostics, sandwich
 from godfit.inference.estimates import Estimate, Estimates, Solution, estimates
 from godfit.inference.evaluate import model_at
 from godfit.inference.fitted import Found
-from godfit.inference.information import Misfit, misfit
+from godfit.inference.information import Misfit, misfit, shares
 from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.observation import Picture
 from godfit.inference.settle import Settled
@@ -159,7 +159,17 @@ def verdict(
         pass_scale=found.pass_scale,
         prior=problem.prior,
         inputs=files,
+        where=_where(found, estimated),
     )
+
+
+def _where(found: Found, estimated: Estimates) -> dict[str, np.ndarray]:
+    """The share (rows, columns) of the information on each determined parameter by cell."""
+    problem = found.problem
+    maps = shares(found.evidence.cells, problem.free, estimated.slopes)
+    known = {name for name, e in estimated.params.items() if e.stderr is not None}
+    by_name = zip(problem.names, maps, strict=True)
+    return {name: share for name, share in by_name if name in known and share is not None}
 
 
 def nothing_there(picture: Picture, estimated: Estimates) -> str:

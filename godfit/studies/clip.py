@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -32,6 +33,7 @@ from godfit.models.build import mitchell_template
 from godfit.models.coordinates import LIGHT_X, LIGHT_Y
 from godfit.models.disc_light import DiscLight
 from godfit.report.clip import ClipResult, Frame
+from godfit.report.live.data import CLIP_FRAMES, Shown, clip_frame
 from godfit.report.verdict import spread
 from godfit.request import Request
 from godfit.runtime.guest import as_guest
@@ -113,6 +115,7 @@ def fit_clip(
     notes: list[str] = []
     warnings: list[str] = []
     shown = np.zeros((0, 0, 3))
+    pages: list[dict[str, Any]] = []
     with as_guest():
         held = given_and_held(shading, fix, start)[1]
         for source in frames:
@@ -142,13 +145,22 @@ def fit_clip(
             notes += [f"{name}: {note}" for note in (*image.notes, *messages)]
             warnings += found.remarks
             answers.append(_answer(name, found))
+            if count <= CLIP_FRAMES:
+                pages.append(_page(name, found))
             if count == 1:
                 shown = _small(image)
         if len(answers) < 2:
             raise InputError(f"frames: expected at least two, got {len(answers)}")
         said = tuple(notes), tuple(dict.fromkeys(warnings))
         result = _pooled_result(answers, shading, held, said, shown)
-    return dataclasses.replace(result, timing_s={"solve": time.perf_counter() - began})
+    seconds = {"solve": time.perf_counter() - began}
+    return dataclasses.replace(result, timing_s=seconds, pages=tuple(pages))
+
+
+def _page(name: str, found: Found) -> dict[str, Any]:
+    """The frame as the live page has it: packed, so that no picture stays in memory."""
+    model, picture = found.problem.at(found.settled.coordinates), found.problem.picture
+    return clip_frame(Path(name).name, Shown(model, picture, {}, picture.rendered(model)))
 
 
 def _check_size(name: str, image: Image, valid: np.ndarray | None) -> None:

@@ -44,7 +44,7 @@ def leftovers(folder):
     return sorted(p.name for p in folder.rglob("*") if p.is_file())
 
 
-def test_fit_writes_three_files_and_prints_a_table(disc, capsys):
+def test_fit_writes_its_files_and_prints_a_table(disc, capsys):
     folder = disc.with_suffix(".godfit")
     folder.mkdir()
     (folder / "notes.txt").write_text("mine")
@@ -53,7 +53,8 @@ def test_fit_writes_three_files_and_prints_a_table(disc, capsys):
     printed = capsys.readouterr()
     assert "exposure" in printed.out
     assert "converged" in printed.out
-    assert leftovers(folder) == ["fit.json", "fit.png", "notes.txt", "render.png"]
+    names = ["fit.json", "fit.png", "notes.txt", "render.png", "report.html"]
+    assert leftovers(folder) == names
     record = json.loads((folder / "fit.json").read_text())
     assert record["schema"] == 2
     assert record["shader"] == "dawntime"
@@ -66,7 +67,8 @@ def test_fit_writes_three_files_and_prints_a_table(disc, capsys):
 
 def test_a_fit_renders_again(disc, capsys):
     """fit.json feeds render, in 8 bits, 16 bits and floats, and these agree."""
-    assert main(["fit", str(disc), "-q", "-o", str(disc.parent / "out")]) == 0
+    assert main(["fit", str(disc), "-q", "-o", str(disc.parent / "out"), "--no-html"]) == 0
+    assert leftovers(disc.parent / "out") == ["fit.json", "fit.png", "render.png"]
     for name, bits in (("a.png", "8"), ("b.png", "16"), ("c.npy", "8")):
         arguments = ["render", str(disc.parent / "disc_mask.png"), "-o", str(disc.parent / name)]
         arguments += ["--params", str(disc.parent / "out" / "fit.json"), "--bits", bits]
@@ -449,8 +451,8 @@ def test_a_fit_is_not_lost_with_its_figure(disc, capsys, monkeypatch):
     assert main(["fit", str(disc)]) == 0
     shown = capsys.readouterr()
     assert "warning: fit.png was not written: RuntimeError: latex could not be found" in shown.err
-    assert shown.out.rstrip().endswith("fit.json, render.png")
-    assert leftovers(disc.with_suffix(".godfit")) == ["fit.json", "render.png"]
+    assert shown.out.rstrip().endswith("fit.json, render.png, report.html")
+    assert leftovers(disc.with_suffix(".godfit")) == ["fit.json", "render.png", "report.html"]
 
 
 def test_interrupt_ends_with_130_and_no_file(disc):

@@ -74,7 +74,8 @@ def test_command_prints_what_to_paste(fitted, capsys):
     text = capsys.readouterr().out
     assert text.startswith("this picture needs ")
     assert f"not {fitted['samples']}" in text
-    assert main(["simplify", "fit.json", "--tolerance", "2", "--json"]) == 0
+    assert main(["simplify", "fit.json", "--tolerance", "2", "--json", "--html", "few.html"]) == 0
+    assert "this picture needs" in Path("few.html").read_text(encoding="utf-8")
     record = json.loads(capsys.readouterr().out)
     assert record["worst_levels"] <= 2
     assert record["samples"] < fitted["samples"]
