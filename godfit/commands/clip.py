@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import click
 
-from godfit.commands.options import Run, valid_pixels
+from godfit.commands.options import Run
 from godfit.commands.study import (
     NOT_CONVERGED,
     folder_for,
@@ -19,15 +18,14 @@ from godfit.commands.study import (
 )
 from godfit.errors import InputError
 from godfit.io.frames import frames, is_video
-from godfit.io.sidecar import read_sidecar
+from godfit.io.ignored import valid_pixels
+from godfit.io.sidecar import OF_EACH_FRAME, read_sidecar, sources_of
 
 ACCEPTED = (
     "shader", "samples", "pass_scale", "transfer", "fix", "start", "ignore", "mask", "scene",
     "background",
 )  # fmt: skip
 """Options of ``godfit fit`` that frames take too."""
-OF_EACH_FRAME = ("mask", "scene", "background")
-"""Options whose values may name a file for each frame."""
 OF_ALL_FRAMES = ("shader", "samples", "pass_scale", "transfer")
 """Settings that all frames share."""
 
@@ -78,18 +76,3 @@ def shared_settings(sidecars: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]
                     f"{value}; give it as an option, or fit the frames one by one"
                 )
     return shared
-
-
-def sources_of(
-    path: str, number: int, sidecar: Mapping[str, Any], files: Mapping[str, str]
-) -> dict[str, str]:
-    """Mask, scene and background of a frame: those of the options ``files``, in which {stem} is the
-    frame's name and {number} its place, else those of the file beside it."""
-    found = {name: sidecar[name] for name in OF_EACH_FRAME if name in sidecar}
-    for one, other in (("mask", "scene"), ("scene", "mask")):
-        if one in files:
-            found.pop(other, None)
-    for name, pattern in files.items():
-        stem = Path(path.rsplit("#")[0]).stem
-        found[name] = pattern.replace("{stem}", stem).replace("{number}", str(number))
-    return found

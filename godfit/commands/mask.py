@@ -15,7 +15,6 @@ from godfit.commands.options import (
     Run,
     check_image_name,
     image_size,
-    valid_pixels,
     with_run,
 )
 from godfit.commands.progress import Progress, warn

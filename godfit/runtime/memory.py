@@ -18,6 +18,9 @@ PROGRAM_BYTES = 9 << 27
 third of it is memory. A limit (``ulimit -v``) below this ends the process in native code."""
 THREAD_BYTES = 32 << 20
 """Address space that a core's threads take, in bytes: three stacks of 8 MiB, and what they hold."""
+FIT_BYTES = 110
+"""Memory that a fit takes a pixel, in bytes: the difference between 1920x1080 and 512x512 pixels
+(docs/measured.md)."""
 UNLIMITED = 1 << 60
 """A cgroup's limit from which it counts as none, in bytes."""
 CGROUP_FILES = (
