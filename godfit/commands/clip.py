@@ -16,25 +16,22 @@ from godfit.commands.study import (
     save_result,
     working,
 )
-from godfit.errors import InputError
 from godfit.io.frames import frames, is_video
 from godfit.io.ignored import valid_pixels
-from godfit.io.sidecar import OF_EACH_FRAME, read_sidecar, sources_of
-
-ACCEPTED = (
-    "shader", "samples", "pass_scale", "transfer", "fix", "start", "ignore", "mask", "scene",
-    "background",
-)  # fmt: skip
-"""Options of ``godfit fit`` that frames take too."""
-OF_ALL_FRAMES = ("shader", "samples", "pass_scale", "transfer")
-"""Settings that all frames share."""
+from godfit.io.sidecar import (
+    CLIP_OPTIONS,
+    OF_EACH_FRAME,
+    read_sidecar,
+    shared_settings,
+    sources_of,
+)
 
 
 def fit_frames(targets: tuple[str, ...], every: int, given: Mapping[str, Any], run: Run) -> int:
     """Fit one shader to all ``targets`` and a light to each of them; returns the exit status."""
     options = {name: value for name, value in given.items() if value not in (None, (), False, {})}
     for name in options:
-        if name not in ACCEPTED:
+        if name not in CLIP_OPTIONS:
             option = name.replace("_", "-")
             raise click.UsageError(f"--{option}: expected one picture with it, got several frames")
     if "mask" in options and "scene" in options:
@@ -61,18 +58,3 @@ def fit_frames(targets: tuple[str, ...], every: int, given: Mapping[str, Any], r
     notes = [*result.notes, *result.undetermined, *result.warnings]
     print_result(result, notes, run, files)
     return 0 if result.converged else NOT_CONVERGED
-
-
-def shared_settings(sidecars: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """The settings that the files beside the frames agree on. Raises InputError where they do not:
-    frames of a clip have one shader."""
-    shared: dict[str, Any] = {}
-    for target, settings in sidecars.items():
-        for name in OF_ALL_FRAMES:
-            value = settings.get(name)
-            if value is not None and shared.setdefault(name, value) != value:
-                raise InputError(
-                    f"'{target}': expected {name} {shared[name]} as of the other frames, got "
-                    f"{value}; give it as an option, or fit the frames one by one"
-                )
-    return shared

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ from godfit.commands.study import (
     working,
 )
 from godfit.io.frames import is_video
+from godfit.io.regular_files import read_regular
 from godfit.io.sidecar import keep_one_source
 
 if TYPE_CHECKING:
@@ -120,7 +122,8 @@ def fit(
         )
         result = with_intervals(result, profile, posterior, run.seed, progress)
         if file is not None:
-            result.inputs["scene"] = {"path": file}
+            digest = hashlib.sha256(read_regular(file, "a scene")).hexdigest()
+            result.inputs["scene"] = {"path": file, "sha256": digest}
         result.timing_s["import"] = imported
         result.timing_s["total"] = time.perf_counter() - STARTED
         progress("drawing")

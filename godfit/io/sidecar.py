@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from godfit.errors import InputError
 from godfit.io.toml_table import Table
 
 SIDECAR_FILES = ("mask", "scene", "canvas", "background")
@@ -27,6 +28,13 @@ FOREIGN = {
     "flatland": ("mask", "scene", "background", "shader", "samples", "lights", "pass_scale"),
 }
 """Settings of the file beside a target that a model does not have."""
+CLIP_OPTIONS = (
+    "shader", "samples", "pass_scale", "transfer", "fix", "start", "ignore", "mask", "scene",
+    "background",
+)  # fmt: skip
+"""Options of ``godfit fit`` that frames take too."""
+OF_ALL_FRAMES = ("shader", "samples", "pass_scale", "transfer")
+"""Settings that all frames share."""
 OF_EACH_FRAME = ("mask", "scene", "background")
 """Options whose values may name a file for each frame."""
 
@@ -92,6 +100,21 @@ def keep_one_source(options: dict[str, Any], given: Mapping[str, Any]) -> None:
             options.pop(name, None)
     if plane and given.get("model") is None:
         options["model"] = "flatland"
+
+
+def shared_settings(sidecars: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """The settings that the files beside the frames agree on. Raises InputError where they do not:
+    frames of a clip have one shader."""
+    shared: dict[str, Any] = {}
+    for target, settings in sidecars.items():
+        for name in OF_ALL_FRAMES:
+            value = settings.get(name)
+            if value is not None and shared.setdefault(name, value) != value:
+                raise InputError(
+                    f"'{target}': expected {name} {shared[name]} as of the other frames, got "
+                    f"{value}; give it as an option, or fit the frames one by one"
+                )
+    return shared
 
 
 def sources_of(

@@ -61,6 +61,17 @@ def available_memory() -> int | None:
     return min([*found, *([] if space is None else [space])], default=None)
 
 
+def resident_memory() -> int | None:
+    """Bytes of memory that this process holds; None where the system does not say."""
+    try:
+        import resource
+
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        return pages * resource.getpagesize()
+    except (ImportError, OSError, ValueError):
+        return None
+
+
 def _address_space() -> int | None:
     """Bytes of address space left under a limit (RLIMIT_AS); None without one."""
     try:
