@@ -32,6 +32,7 @@ from typing import Any
 
 import click
 
+from godfit.commands.batch import batch
 from godfit.commands.compare import compare
 from godfit.commands.fit import fit
 from godfit.commands.mask import mask
@@ -57,7 +58,7 @@ def cli() -> None:
     """Estimate the parameters of god rays from images."""
 
 
-for command in (fit, compare, select, simplify, render, mask, shaders):
+for command in (fit, batch, compare, select, simplify, render, mask, shaders):
     cli.add_command(command)
 
 

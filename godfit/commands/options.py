@@ -64,8 +64,7 @@ BRIGHT_PASS = click.option(
     default=None,
     help="Without a mask: the light is all that is bright in the picture, as in a photograph.",
 )
-PICTURE = combined(
-    LIMIT,
+PICTURE_OPTIONS = combined(
     click.option("--mask", help="Occlusion mask that the scattering pass reads."),
     click.option("--scene", help="Scene file: mask, camera, distances and light."),
     click.option("--canvas", help="Flatland: the canvas, an RGBA image or a .toml of shapes."),
@@ -90,6 +89,7 @@ PICTURE = combined(
         help="Pixels to leave out: a rectangle, or wherever an image is not black.",
     ),
 )
+PICTURE = combined(LIMIT, PICTURE_OPTIONS)
 
 
 class Run(NamedTuple):

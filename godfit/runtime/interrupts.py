@@ -10,12 +10,15 @@ from __future__ import annotations
 import _imp
 import os
 import signal
+from collections.abc import Callable
 from types import FrameType
 
 from godfit.runtime.files import remove_temporaries, written_files
 
 INTERRUPTED = 130
 """Exit status after an interrupt: 128 plus the number of SIGINT, as shells have it."""
+# What a command says of its state instead of the files written; None for the files.
+_state: Callable[[], str] | None = None
 SHOW_CURSOR = "\r\x1b[2K\x1b[?25h"
 """What a terminal needs where a spinner was: an empty line, and its cursor."""
 
@@ -33,9 +36,22 @@ def end_on_interrupt() -> None:
             signal.siginterrupt(signal.SIGINT, False)
 
 
+def end_on_termination() -> None:
+    """Let SIGTERM end the process as SIGINT does, with its own status: it is how a queue of jobs
+    takes a machine back."""
+    if signal.getsignal(signal.SIGTERM) is not signal.SIG_IGN:
+        signal.signal(signal.SIGTERM, _end)
+
+
+def report_on_interrupt(state: Callable[[], str] | None) -> None:
+    """After an interrupt ``state`` is printed in place of the files written; None ends that."""
+    global _state
+    _state = state
+
+
 def interrupt_message() -> str:
     """What is printed after an interrupt."""
-    return f"interrupted; {written_files()}"
+    return f"interrupted; {written_files() if _state is None else _state()}"
 
 
 def _end(number: int, frame: FrameType | None) -> None:
@@ -47,4 +63,5 @@ def _end(number: int, frame: FrameType | None) -> None:
     except OSError:
         pass
     finally:
-        os._exit(INTERRUPTED)
+        # As shells have it: 130 for SIGINT, 143 for SIGTERM.
+        os._exit(128 + number)

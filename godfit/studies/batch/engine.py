@@ -8,6 +8,7 @@ library and of loky end with the first process that is killed.
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import logging
 import os
 import signal
@@ -100,14 +101,17 @@ def outcomes(
         yield from _distributed(client, jobs, task_of, local=engine.scheduler is None)
 
 
+def has_dask() -> bool:
+    """Whether several processes can fit."""
+    return importlib.util.find_spec("distributed") is not None
+
+
 def _worker_count(jobs: Sequence[Job], wanted: int | None) -> int:
     """Processes that fit at once: as many as this machine has cores and memory for, and no more
     than there are jobs. Raises InputError for several without dask."""
-    try:
-        import distributed  # noqa: F401
-    except ImportError as error:
+    if not has_dask():
         if (wanted or 1) > 1:
-            raise InputError(f"--workers {wanted}: {WITHOUT_DASK}, or give --workers 1") from error
+            raise InputError(f"--workers {wanted}: {WITHOUT_DASK}, or give --workers 1")
         return 1
     if wanted is None:
         room = available_memory()
@@ -123,7 +127,7 @@ def _connected(count: int, scheduler: str | None) -> Iterator[Any]:
         import dask.config
         from distributed import Client, LocalCluster
 
-        from godfit.studies.batch.one_core import OneCore
+        from godfit.studies.batch.plugin import WorkerSetup
     except ImportError as error:
         raise InputError(f"--scheduler: {WITHOUT_DASK}") from error
     environment = {"JAX_PLATFORMS": os.environ.get("JAX_PLATFORMS", "cpu")}
@@ -149,7 +153,7 @@ def _connected(count: int, scheduler: str | None) -> Iterator[Any]:
                 f"--scheduler: expected one version of each package on all machines, got others: "
                 f"{' '.join(str(error).split())}"
             ) from error
-        plugin = OneCore(local=scheduler is None)
+        plugin = WorkerSetup(local=scheduler is None)
         client.register_plugin(plugin)
         if scheduler is not None:
             # A cluster of others is left as it was.

@@ -56,34 +56,54 @@ class Job(NamedTuple):
     error: str = ""
 
 
-def jobs_of(patterns: Sequence[str], given: Mapping[str, Any], *, clips: bool = False) -> list[Job]:
+class _Plan(NamedTuple):
+    """Targets of a job with their options, the names of the files that serve them, and what is
+    wrong with them."""
+
+    targets: tuple[str, ...]
+    options: dict[str, Any]
+    files: list[str]
+    error: str = ""
+
+    @property
+    def path(self) -> str:
+        return self.targets[0] if len(self.targets) == 1 else os.path.dirname(self.targets[0])
+
+
+def jobs_of(
+    patterns: Sequence[str],
+    given: Mapping[str, Any],
+    clips: bool = False,
+    shard: tuple[int, int] | None = None,
+) -> list[Job]:
     """A job for every file that the ``patterns`` name, in natural order, or with ``clips`` for
-    every folder of them.
+    every folder of them. Of ``shard`` (I, N) every N-th job is returned, from the I-th on.
 
     ``given`` options override those of the file beside a target. In names of files {stem} and
     {folder} are those of the target. Files that serve another target, as its mask for example, are
     no targets where a pattern matches them. Raises InputError for a pattern without a file.
     """
-    given = {name: value for name, value in given.items() if value not in (None, (), [], {}, False)}
+    given = {
+        name: value
+        for name, value in given.items()
+        if value is not None and value is not False and value not in ((), [], {})
+    }
     if "canvas" in given and ("mask" in given or "scene" in given):
         raise InputError("batch: expected a mask, a scene or a canvas, got two; give one")
     if "mask" in given and "scene" in given:
         raise InputError("batch: expected a mask or a scene, got both; a scene draws its own mask")
     named, matched = _expanded(patterns)
     paths = sorted({*named, *matched}, key=natural_order)
-    digests = _Digests()
-    made, serving = [], set()
-    for targets in _clips(paths) if clips else [(path,) for path in paths]:
-        job, files = _job(targets, given, digests)
-        made.append(job)
-        serving |= {os.path.normpath(file) for file in files}
-    return [j for j in made if j.path in named or os.path.normpath(j.path) not in serving]
-
-
-def shard_of(jobs: Sequence[Job], shard: tuple[int, int] | None) -> list[Job]:
-    """The jobs of shard (number from 1, count): every count-th one; all without a shard."""
+    plans = [_plan(ts, given) for ts in (_clips(paths) if clips else [(path,) for path in paths])]
+    serving = {os.path.normpath(file) for plan in plans for file in plan.files}
+    plans = [
+        plan
+        for plan in plans
+        if not named.isdisjoint(plan.targets) or os.path.normpath(plan.targets[0]) not in serving
+    ]
     number, count = shard or (1, 1)
-    return list(jobs[number - 1 :: count])
+    digests = _Digests()
+    return [_job(plan, digests) for plan in plans[number - 1 :: count]]
 
 
 def natural_order(path: str) -> list[Any]:
@@ -122,34 +142,35 @@ def _clips(paths: Iterable[str]) -> list[tuple[str, ...]]:
     return [tuple(frames) for frames in folders.values()]
 
 
-def _job(
-    targets: tuple[str, ...], given: Mapping[str, Any], digests: _Digests
-) -> tuple[Job, list[str]]:
-    """The job of a picture or of a clip, and the files that serve it. What is wrong with its files
-    is the job's error."""
-    path = targets[0] if len(targets) == 1 else os.path.dirname(targets[0]) or "."
-    several = len(targets) > 1 or is_video(path)
-    options: dict[str, Any] = dict(given)
-    files: list[str] = []
+def _plan(targets: tuple[str, ...], given: Mapping[str, Any]) -> _Plan:
     try:
-        if several:
-            options, files = _clip_options(targets, given)
-        else:
-            options = _options(path, given)
-            files = [options[name] for name in FILES if name in options]
-        sizes = [digests.picture(target) for target in targets]
-        contents = [digest for digest, _, _ in sizes]
+        if len(targets) > 1 or is_video(targets[0]):
+            return _Plan(targets, *_clip_options(targets, given))
+        options = _options(targets[0], given)
+    except InputError as error:
+        return _Plan(targets, dict(given), [], str(error))
+    return _Plan(targets, options, [options[name] for name in FILES if name in options])
+
+
+def _job(plan: _Plan, digests: _Digests) -> Job:
+    """The job of a plan. What is wrong with its files is the job's error."""
+    targets, options, files, error = plan
+    try:
+        if error:
+            raise InputError(error)
+        found = [digests.picture(target) for target in targets]
         # A rectangle to ignore is no file.
         images = [text for text in options.get("ignore", ()) if os.path.isfile(text)]
+        contents = [digest for digest, _, _ in found]
         contents += [digests.content(file) for file in (*files, *images)]
-    except InputError as error:
-        key = _key([path, str(error)], options)
-        return Job(path, targets, options, key, error=str(error)), files
+    except InputError as wrong:
+        key = _key([plan.path, str(wrong)], options)
+        return Job(plan.path, targets, options, key, error=str(wrong))
     settings = {name: value for name, value in options.items() if name not in FILES}
     settings["files"] = sorted(name for name in options if name in FILES)
-    _, pixels, form = sizes[0]
+    _, pixels, form = found[0]
     group = f"{form} {json.dumps(settings, sort_keys=True, default=str)}"
-    return Job(path, targets, options, _key(contents, settings), group, pixels), files
+    return Job(plan.path, targets, options, _key(contents, settings), group, pixels)
 
 
 def _key(contents: Sequence[str], settings: Mapping[str, Any]) -> str:
