@@ -7,7 +7,7 @@ import json
 import os
 import re
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -26,7 +26,7 @@ from godfit.commands.options import (
 )
 from godfit.commands.progress import warn
 from godfit.commands.study import command_line, start_jax
-from godfit.runtime.interrupts import end_on_termination, report_on_interrupt
+from godfit.runtime.interrupts import report_on_interrupt
 
 if TYPE_CHECKING:
     from godfit.studies.batch.engine import Engine
@@ -127,11 +127,12 @@ def batch(
         raise click.UsageError("--merge: expected no --workers, --scheduler or --shard with it")
     jobs = jobs_of(targets, given, clips, place) if targets and not merge else []
     name = "journal.sqlite" if place is None else f"journal-{place[0]}-of-{place[1]}.sqlite"
-    end_on_termination()
     with opened_journal(run.output, name) as journal:
         if merge:
             merge_runs(journal, targets)
-        journal.plan([(job.path, job.key) for job in jobs], place)
+        # A frame that failed and has changed since is planned when it is fitted: until then the
+        # journal has it among those that failed.
+        journal.plan([] if retry else [(job.path, job.key) for job in jobs], place)
         if jobs:
             settings = Settings(run.output, retry, pictures, command_line())
             engine = Engine(workers, scheduler, own_process=True)
@@ -210,9 +211,12 @@ def fit_all(
     left = len(to_do(jobs, journal, settings))
     if engine.workers is None and not has_dask() and left > 1 and not run.quiet:
         warn(f"one process fits: more of them {WITHOUT_DASK}")
-    with BatchProgress(len(jobs), left, run.quiet) as progress, reported(progress, journal):
-        if left and engine.scheduler is None and (engine.workers == 1 or not has_dask()):
-            prepare_process()
+    alone = engine.scheduler is None and (engine.workers == 1 or not has_dask())
+    with (
+        BatchProgress(len(jobs), left, run.quiet) as progress,
+        reported(progress, journal),
+        one_core() if left and alone else nullcontext(),
+    ):
         for frame in run_jobs(jobs, journal, engine, settings):
             progress.add(frame)
             if frame.error and not run.quiet and progress.failed <= SHOWN_FAILURES:
@@ -234,12 +238,17 @@ def reported(progress: BatchProgress, journal: Journal) -> Iterator[None]:
         report_on_interrupt(None)
 
 
-def prepare_process() -> None:
-    """This process fits: it has one core, as workers have, so that the results are the same."""
+@contextmanager
+def one_core() -> Iterator[None]:
+    """This process fits inside: it has one core, as workers have, so that results are the same."""
     from godfit.runtime.one_core import OneCore
 
-    OneCore()
-    start_jax()
+    core = OneCore()
+    try:
+        start_jax()
+        yield
+    finally:
+        core.release()
 
 
 def print_summary(journal: Journal, counts: dict[str, int], written: list[str], run: Run) -> None:

@@ -26,6 +26,8 @@ from tests.support import random_targets
 SECONDS_VARIABLE = "GODFIT_TEST_SECONDS"
 """Environment variable with the seconds that a frame takes."""
 SAMPLES = 60
+FATAL = ("crash", "once", "raise")
+"""Parts of names of frames that are not fitted as others are."""
 
 
 def write_frames(folder: Path, count: int, size: int) -> None:
@@ -77,11 +79,12 @@ def stand_in(task: Task) -> Outcome:
     """In place of ``fit_one``."""
     target = Path(task.root, task.targets[0])
     time.sleep(float(os.environ.get(SECONDS_VARIABLE, "0")))
-    once = target.with_suffix(".tried")
-    if "crash" in target.name or ("once" in target.name and not once.exists()):
-        once.touch()
+    tried = target.with_suffix(".tried")
+    fate = next((word for word in FATAL if word in target.name), "")
+    if fate == "crash" or (fate == "once" and not tried.exists()):
+        tried.touch()
         os._exit(9)
-    if "raise" in target.name:
+    if fate == "raise":
         return Outcome(FAILED, error=str(InputError(f"'{task.targets[0]}': expected a picture")))
     record = made_up(target.read_bytes())
     return Outcome(CONVERGED if record["converged"] else NOT_CONVERGED, record, "", 0.1, "here")

@@ -43,6 +43,8 @@ SETTINGS = {
 """Settings of dask for the workers that are started here."""
 CONNECT_SECONDS = 30.0
 """Time to reach a scheduler, in seconds."""
+QUIET_TRACKER = "ignore::UserWarning:multiprocessing.resource_tracker"
+"""A filter of warnings for processes that are started."""
 WITHOUT_DASK = "needs the package distributed; pip install 'godfit[batch]'"
 
 
@@ -137,7 +139,7 @@ def _connected(count: int, scheduler: str | None) -> Iterator[Any]:
             client = _client_of(scheduler)
         else:
             stack.enter_context(dask.config.set(settings))
-            with _without_interrupts():
+            with _undisturbed():
                 cluster = LocalCluster(
                     n_workers=count, threads_per_worker=1, processes=True, host="127.0.0.1",
                     memory_limit=_memory_limit(count), dashboard_address=None,
@@ -194,17 +196,23 @@ def _memory_limit(count: int) -> int:
 
 
 @contextlib.contextmanager
-def _without_interrupts() -> Iterator[None]:
+def _undisturbed() -> Iterator[None]:
     """Threads and processes that are started inside have interrupts blocked: Ctrl-C reaches every
-    process of a terminal, and only the client answers it."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    process of a terminal, and only the client answers it. A client that is killed leaves
+    semaphores; the process of Python that removes them says nothing."""
+    before = os.environ.get("PYTHONWARNINGS")
+    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [before, QUIET_TRACKER]))
+    blocks = hasattr(signal, "pthread_sigmask")
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if blocks else None
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if mask is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        if before is None:
+            del os.environ["PYTHONWARNINGS"]
+        else:
+            os.environ["PYTHONWARNINGS"] = before
 
 
 def _distributed(

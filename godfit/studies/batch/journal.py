@@ -111,17 +111,22 @@ class Journal:
     def plan(self, frames: Iterable[tuple[str, str]], shard: tuple[int, int] | None = None) -> None:
         """Add frames (path, key). A path that is there already gets its new key."""
         with self._explained(), self.connection:
-            self.connection.executemany(
-                "insert or replace into frames values (?, ?)",
-                [(stored_name(path), key) for path, key in frames],
-            )
+            self._plan(frames)
             if shard is not None:
                 self.connection.execute("insert or replace into shards values (?, ?)", shard)
 
-    def add(self, key: str, outcome: Outcome) -> None:
-        """Keep how the fit of ``key`` ended, in place of an earlier outcome."""
+    def _plan(self, frames: Iterable[tuple[str, str]]) -> None:
+        self.connection.executemany(
+            "insert or replace into frames values (?, ?)",
+            [(stored_name(path), key) for path, key in frames],
+        )
+
+    def add(self, key: str, outcome: Outcome, paths: Iterable[str] = ()) -> None:
+        """Keep how the fit of ``key`` ended, in place of an earlier outcome, and that it is the
+        fit of the frames ``paths``."""
         record = None if outcome.record is None else json.dumps(outcome.record)
         with self._explained(), self.connection:
+            self._plan((path, key) for path in paths)
             self.connection.execute(
                 "insert or replace into fits values (?, ?, ?, ?, ?, ?, ?)",
                 (

@@ -82,8 +82,8 @@ def batch(
     def fits() -> Iterator[FrameFit]:
         with opened_journal(folder) as journal:
             settings = Settings(folder, retry_failed)
-            journal.plan([(job.path, job.key) for job in jobs])
             if not retry_failed:
+                journal.plan([(job.path, job.key) for job in jobs])
                 for job in jobs:
                     known = journal.outcome(job.key)
                     if known is not None:
@@ -157,7 +157,7 @@ def run_jobs(
 
 def _kept(journal: Journal, paths: Sequence[str], key: str, outcome: Outcome) -> Iterator[FrameFit]:
     """Keep an outcome, then yield it for each of its frames."""
-    journal.add(key, outcome)
+    journal.add(key, outcome, paths)
     for path in paths:
         yield FrameFit.of(path, outcome)
 

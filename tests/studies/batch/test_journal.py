@@ -122,7 +122,7 @@ def test_tables_in_both_formats_are_equal(journal, tmp_path):
     assert parquet["error"].to_pylist()[0] == "'f_2.png': a; b, \"c\""
     assert parquet["status"].to_pylist()[3] == "to do"
     with open(tmp_path / "t.csv") as file:
-        assert [row["path"] for row in csv.DictReader(file)][0] == "f_2.png"
+        assert next(row["path"] for row in csv.DictReader(file)) == "f_2.png"
 
 
 def test_lines_and_columns_are_as_the_schema_has_them(journal):
