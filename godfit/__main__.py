@@ -37,6 +37,7 @@ from godfit.commands.compare import compare
 from godfit.commands.fit import fit
 from godfit.commands.mask import mask
 from godfit.commands.render import render
+from godfit.commands.rerun import rerun
 from godfit.commands.select import select
 from godfit.commands.shaders import shaders
 from godfit.commands.simplify import simplify
@@ -58,7 +59,7 @@ def cli() -> None:
     """Estimate the parameters of god rays from images."""
 
 
-for command in (fit, batch, compare, select, simplify, render, mask, shaders):
+for command in (fit, batch, compare, select, simplify, render, rerun, mask, shaders):
     cli.add_command(command)
 
 

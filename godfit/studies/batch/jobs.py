@@ -56,6 +56,19 @@ class Job(NamedTuple):
     error: str = ""
 
 
+def job_for(targets: Sequence[str], given: Mapping[str, Any]) -> Job:
+    """The job of one picture, or of the frames of one clip, as ``jobs_of`` has it."""
+    return _job(_plan(tuple(targets), _without_defaults(given)), _Digests())
+
+
+def _without_defaults(given: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        name: value
+        for name, value in given.items()
+        if value is not None and value is not False and value not in ((), [], {})
+    }
+
+
 class _Plan(NamedTuple):
     """Targets of a job with their options, the names of the files that serve them, and what is
     wrong with them."""
@@ -77,17 +90,13 @@ def jobs_of(
     shard: tuple[int, int] | None = None,
 ) -> list[Job]:
     """A job for every file that the ``patterns`` name, in natural order, or with ``clips`` for
-    every folder of them. Of ``shard`` (I, N) every N-th job is returned, from the I-th on.
+    every folder of them. With ``shard`` (I, N) only every N-th job is made, from the I-th on.
 
     ``given`` options override those of the file beside a target. In names of files {stem} and
     {folder} are those of the target. Files that serve another target, as its mask for example, are
     no targets where a pattern matches them. Raises InputError for a pattern without a file.
     """
-    given = {
-        name: value
-        for name, value in given.items()
-        if value is not None and value is not False and value not in ((), [], {})
-    }
+    given = _without_defaults(given)
     if "canvas" in given and ("mask" in given or "scene" in given):
         raise InputError("batch: expected a mask, a scene or a canvas, got two; give one")
     if "mask" in given and "scene" in given:

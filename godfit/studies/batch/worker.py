@@ -151,7 +151,8 @@ def _fitted(task: Task) -> tuple[dict[str, Any], bytes]:
         else:
             result, shown = _picture(targets[0], seed, options)
         record = result.record(task.command)
-        record["options"] = {name: _plain(value) for name, value in task.options.items()}
+        given = {name: _plain(value) for name, value in task.options.items()}
+        record["options"] = {"targets": list(task.targets), **given}
         record["inputs"] = _relative(record.get("inputs", {}), task.root)
         for frame in record.get("frames", ()):
             frame["path"] = frame["path"].removeprefix(os.path.join(task.root, ""))
