@@ -19,6 +19,7 @@ from godfit.commands.options import (
 )
 from godfit.commands.progress import Progress, warn
 from godfit.commands.study import start_jax, working
+from godfit.io.ignored import valid_pixels
 
 if TYPE_CHECKING:
     import numpy as np

@@ -93,10 +93,9 @@ def recorded_fits(source: str) -> list[tuple[Job, Mapping[str, Any]]]:
     elif os.path.isdir(source) or source.endswith(".sqlite"):
         with Journal(journal, writes=False) as run:
             rows = [(row.path, row.outcome.record) for row in run.rows() if row.outcome]
-        found = [(recorded_job(path, record), record) for path, record in rows if record]
-        if not found:
+        if not any(record for _, record in rows):
             raise InputError(f"'{journal}': expected a run with fits, got none")
-        return found
+        return [(recorded_job(path, record), record) for path, record in rows if record]
     record = read_record(source)
     if "options" in record:
         return [(recorded_job(source, record), record)]

@@ -132,6 +132,7 @@ def _connected(count: int, scheduler: str | None) -> Iterator[Any]:
         from godfit.studies.batch.plugin import WorkerSetup
     except ImportError as error:
         raise InputError(f"--scheduler: {WITHOUT_DASK}") from error
+    own: dict[str, Any] = {"memory_limit": _memory_limit(count), "dashboard_address": None}
     environment = {"JAX_PLATFORMS": os.environ.get("JAX_PLATFORMS", "cpu")}
     settings = {**SETTINGS, "distributed.nanny.pre-spawn-environ": environment}
     with contextlib.ExitStack() as stack:
@@ -142,8 +143,7 @@ def _connected(count: int, scheduler: str | None) -> Iterator[Any]:
             with _undisturbed():
                 cluster = LocalCluster(
                     n_workers=count, threads_per_worker=1, processes=True, host="127.0.0.1",
-                    memory_limit=_memory_limit(count), dashboard_address=None,
-                    silence_logs=logging.CRITICAL,
+                    silence_logs=logging.CRITICAL, **own,
                 )  # fmt: skip
                 stack.callback(_ended, cluster.close)
                 client = Client(cluster, set_as_default=False)
@@ -179,7 +179,7 @@ def _client_of(scheduler: str) -> Any:
             f"--scheduler: expected an address such as tcp://host:8786 or a scheduler's file, got "
             f"'{scheduler}'"
         )
-    place = {"scheduler_file": scheduler} if is_file else {"address": scheduler}
+    place: dict[str, Any] = {"scheduler_file" if is_file else "address": scheduler}
     try:
         return Client(**place, timeout=CONNECT_SECONDS, set_as_default=False)
     except (OSError, ValueError, KeyError) as error:

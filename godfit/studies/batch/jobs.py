@@ -152,10 +152,11 @@ def _clips(paths: Iterable[str]) -> list[tuple[str, ...]]:
 
 
 def _plan(targets: tuple[str, ...], given: Mapping[str, Any]) -> _Plan:
+    first = targets[0]
     try:
-        if len(targets) > 1 or is_video(targets[0]):
+        if len(targets) > 1 or is_video(first):
             return _Plan(targets, *_clip_options(targets, given))
-        options = _options(targets[0], given)
+        options = _options(first, given)
     except InputError as error:
         return _Plan(targets, dict(given), [], str(error))
     return _Plan(targets, options, [options[name] for name in FILES if name in options])
