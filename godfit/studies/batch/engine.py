@@ -12,8 +12,11 @@ import importlib.util
 import logging
 import os
 import signal
+import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from importlib import metadata
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from godfit.errors import InputError
@@ -43,6 +46,8 @@ SETTINGS = {
 """Settings of dask for the workers that are started here."""
 CONNECT_SECONDS = 30.0
 """Time to reach a scheduler, in seconds."""
+LOGGERS = ("distributed", "tornado", "asyncio")
+"""Loggers of dask and of what it is made of."""
 QUIET_TRACKER = "ignore::UserWarning:multiprocessing.resource_tracker"
 """A filter of warnings for processes that are started."""
 WITHOUT_DASK = "needs the package distributed; pip install 'godfit[batch]'"
@@ -136,10 +141,12 @@ def _connected(count: int, scheduler: str | None) -> Iterator[Any]:
     environment = {"JAX_PLATFORMS": os.environ.get("JAX_PLATFORMS", "cpu")}
     settings = {**SETTINGS, "distributed.nanny.pre-spawn-environ": environment}
     with contextlib.ExitStack() as stack:
+        stack.enter_context(_quiet_loggers())
         if scheduler is not None:
             client = _client_of(scheduler)
         else:
             stack.enter_context(dask.config.set(settings))
+            stack.enter_context(_importable())
             with _undisturbed():
                 cluster = LocalCluster(
                     n_workers=count, threads_per_worker=1, processes=True, host="127.0.0.1",
@@ -156,7 +163,13 @@ def _connected(count: int, scheduler: str | None) -> Iterator[Any]:
                 f"{' '.join(str(error).split())}"
             ) from error
         plugin = WorkerSetup(local=scheduler is None)
-        client.register_plugin(plugin)
+        try:
+            client.register_plugin(plugin)
+        except Exception as error:
+            raise InputError(
+                f"--scheduler: expected godfit {metadata.version('godfit')} on all machines, got "
+                f"{error}"
+            ) from error
         if scheduler is not None:
             # A cluster of others is left as it was.
             stack.callback(_ended, client.unregister_worker_plugin, plugin.name)
@@ -187,6 +200,37 @@ def _client_of(scheduler: str) -> Any:
             f"--scheduler: expected a scheduler at '{scheduler}', got none within "
             f"{CONNECT_SECONDS:g} s ({type(error).__name__}); start `dask scheduler` there"
         ) from error
+
+
+@contextlib.contextmanager
+def _quiet_loggers() -> Iterator[None]:
+    """Dask's reports of workers that end: the outcomes have them."""
+    loggers = [logging.getLogger(name) for name in LOGGERS]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
+
+
+@contextlib.contextmanager
+def _importable() -> Iterator[None]:
+    """Processes that are started inside import this package from where it is. ``python -m godfit``
+    takes the current folder off the path, which may be the package's. Here it comes after
+    all other packages, so that no file in it is taken for one of them."""
+    root = str(Path(__file__).parents[3])
+    if root in sys.path:
+        yield
+        return
+    others = [i for i, place in enumerate(sys.path) if os.path.isdir(os.path.join(place, "godfit"))]
+    sys.path.insert(min(others, default=len(sys.path)), root)
+    try:
+        yield
+    finally:
+        sys.path.remove(root)
 
 
 def _memory_limit(count: int) -> int:
