@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from godfit.scattering.taps import Taps
     from godfit.scenes.raster import rasterise
     from godfit.scenes.scene import Scene, read_scene
+    from godfit.studies.batch.run import FrameFit, batch
     from godfit.studies.clip import fit_clip
 
 __all__ = [
@@ -27,11 +28,13 @@ __all__ = [
     "ClipResult",
     "Estimate",
     "FitResult",
+    "FrameFit",
     "Image",
     "InputError",
     "Mitchell",
     "Scene",
     "Taps",
+    "batch",
     "fit",
     "fit_clip",
     "radial_sum",
@@ -46,10 +49,12 @@ _HOMES = {
     "ClipResult": "godfit.report.clip",
     "Estimate": "godfit.inference.estimates",
     "FitResult": "godfit.report.result",
+    "FrameFit": "godfit.studies.batch.run",
     "Image": "godfit.io.image",
     "Mitchell": "godfit.models.mitchell",
     "Scene": "godfit.scenes.scene",
     "Taps": "godfit.scattering.taps",
+    "batch": "godfit.studies.batch.run",
     "fit": "godfit.fitting",
     "fit_clip": "godfit.studies.clip",
     "radial_sum": "godfit.scattering.radial",

@@ -32,11 +32,13 @@ from typing import Any
 
 import click
 
+from godfit.commands.batch import batch
 from godfit.commands.compare import compare
 from godfit.commands.export import export
 from godfit.commands.fit import fit
 from godfit.commands.mask import mask
 from godfit.commands.render import render
+from godfit.commands.rerun import rerun
 from godfit.commands.select import select
 from godfit.commands.shaders import shaders
 from godfit.commands.simplify import simplify
@@ -59,7 +61,7 @@ def cli() -> None:
     """Estimate the parameters of god rays from images."""
 
 
-for command in (fit, compare, select, simplify, render, export, mask, view, shaders):
+for command in (fit, batch, compare, select, simplify, render, rerun, export, mask, view, shaders):
     cli.add_command(command)
 
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import click
 
-from godfit.commands.options import Run, valid_pixels
+from godfit.commands.options import Run
 from godfit.commands.study import (
     NOT_CONVERGED,
     folder_for,
@@ -17,26 +16,22 @@ from godfit.commands.study import (
     save_result,
     working,
 )
-from godfit.errors import InputError
 from godfit.io.frames import frames, is_video
-from godfit.io.sidecar import read_sidecar
-
-ACCEPTED = (
-    "shader", "samples", "pass_scale", "transfer", "arithmetic", "fix", "start", "ignore", "mask",
-    "scene", "background",
-)  # fmt: skip
-"""Options of ``godfit fit`` that frames take too."""
-OF_EACH_FRAME = ("mask", "scene", "background")
-"""Options whose values may name a file for each frame."""
-OF_ALL_FRAMES = ("shader", "samples", "pass_scale", "transfer", "arithmetic")
-"""Settings that all frames share."""
+from godfit.io.ignored import valid_pixels
+from godfit.io.sidecar import (
+    CLIP_OPTIONS,
+    OF_EACH_FRAME,
+    read_sidecar,
+    shared_settings,
+    sources_of,
+)
 
 
 def fit_frames(targets: tuple[str, ...], every: int, given: Mapping[str, Any], run: Run) -> int:
     """Fit one shader to all ``targets`` and a light to each of them; returns the exit status."""
     options = {name: value for name, value in given.items() if value not in (None, (), False, {})}
     for name in options:
-        if name not in ACCEPTED:
+        if name not in CLIP_OPTIONS:
             option = name.replace("_", "-")
             raise click.UsageError(f"--{option}: expected one picture with it, got several frames")
     if "mask" in options and "scene" in options:
@@ -63,33 +58,3 @@ def fit_frames(targets: tuple[str, ...], every: int, given: Mapping[str, Any], r
     notes = [*result.notes, *result.undetermined, *result.warnings]
     print_result(result, notes, run, files)
     return 0 if result.converged else NOT_CONVERGED
-
-
-def shared_settings(sidecars: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """The settings that the files beside the frames agree on. Raises InputError where they do not:
-    frames of a clip have one shader."""
-    shared: dict[str, Any] = {}
-    for target, settings in sidecars.items():
-        for name in OF_ALL_FRAMES:
-            value = settings.get(name)
-            if value is not None and shared.setdefault(name, value) != value:
-                raise InputError(
-                    f"'{target}': expected {name} {shared[name]} as of the other frames, got "
-                    f"{value}; give it as an option, or fit the frames one by one"
-                )
-    return shared
-
-
-def sources_of(
-    path: str, number: int, sidecar: Mapping[str, Any], files: Mapping[str, str]
-) -> dict[str, str]:
-    """Mask, scene and background of a frame: those of the options ``files``, in which {stem} is the
-    frame's name and {number} its place, else those of the file beside it."""
-    found = {name: sidecar[name] for name in OF_EACH_FRAME if name in sidecar}
-    for one, other in (("mask", "scene"), ("scene", "mask")):
-        if one in files:
-            found.pop(other, None)
-    for name, pattern in files.items():
-        stem = Path(path.rsplit("#")[0]).stem
-        found[name] = pattern.replace("{stem}", stem).replace("{number}", str(number))
-    return found

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -29,6 +29,8 @@ from godfit.commands.study import (
     working,
 )
 from godfit.io.frames import is_video
+from godfit.io.regular_files import read_regular
+from godfit.io.sidecar import keep_one_source
 
 if TYPE_CHECKING:
     from godfit.commands.progress import Progress
@@ -112,6 +114,8 @@ def fit(
     if every is not None:
         raise click.UsageError("--every: expected several frames or a video with it, got a picture")
     study = opened(first, given, run.output, bare=True)
+    if given["canvas"] is not None and (given["mask"] or given["scene"]) is not None:
+        raise click.UsageError("expected --mask, --scene or --canvas, got two; give one")
     keep_one_source(study.options, given)
     start_lights(study.options, light, study.image.values.shape)
     if (profile or posterior) and not {"mask", "scene", "canvas"} & study.options.keys():
@@ -133,7 +137,8 @@ def fit(
         )
         result = with_intervals(result, profile, posterior, run.seed, progress)
         if file is not None:
-            result.inputs["scene"] = {"path": file}
+            digest = hashlib.sha256(read_regular(file, "a scene")).hexdigest()
+            result.inputs["scene"] = {"path": file, "sha256": digest}
         result.timing_s["import"] = imported
         result.timing_s["total"] = time.perf_counter() - STARTED
         progress("drawing")
@@ -182,23 +187,3 @@ def start_lights(options: dict[str, Any], light: Lights, size: tuple[int, ...]) 
         )
     options["lights"] = options.get("lights", count)
     options["start"] = options["start"] | starts
-
-
-def keep_one_source(options: dict[str, Any], given: Mapping[str, Any]) -> None:
-    """Keep either a canvas or a mask and scene: those given on the command line, or those that the
-    model needs."""
-    if "canvas" not in options:
-        return
-    instead = given["mask"] is not None or given["scene"] is not None
-    if given["canvas"] is not None and instead:
-        raise click.UsageError("expected --mask, --scene or --canvas, got two; give one")
-    alone = "mask" not in options and "scene" not in options
-    if instead and given["model"] is None:
-        options.pop("model", None)
-    plane = given["canvas"] is not None or alone or options.get("model") == "flatland"
-    unused = ("mask", "scene", "samples", "shader", "lights") if plane else ("canvas", "rays")
-    for name in unused:
-        if given.get(name) is None:
-            options.pop(name, None)
-    if plane and given["model"] is None:
-        options["model"] = "flatland"

@@ -15,11 +15,11 @@ from godfit.commands.options import (
     Run,
     check_image_name,
     image_size,
-    valid_pixels,
     with_run,
 )
 from godfit.commands.progress import Progress, warn
 from godfit.commands.study import start_jax, working
+from godfit.io.ignored import valid_pixels
 
 if TYPE_CHECKING:
     import numpy as np

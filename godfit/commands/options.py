@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import functools
 import os
-import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import click
 
 from godfit.errors import InputError
+from godfit.io.ignored import is_whole
 
 MAX_SEED = 2**31 - 1
 """Largest seed: JAX takes seeds of 32 bits with a sign."""
-
-if TYPE_CHECKING:
-    import numpy as np
 
 
 def combined(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
@@ -70,8 +67,7 @@ BRIGHT_PASS = click.option(
     default=None,
     help="Without a mask: the light is all that is bright in the picture, as in a photograph.",
 )
-PICTURE = combined(
-    LIMIT,
+PICTURE_OPTIONS = combined(
     click.option("--mask", help="Occlusion mask that the scattering pass reads."),
     click.option("--scene", help="Scene file: mask, camera, distances and light."),
     click.option("--canvas", help="Flatland: the canvas, an RGBA image or a .toml of shapes."),
@@ -101,6 +97,7 @@ PICTURE = combined(
         help="Pixels to leave out: a rectangle, or wherever an image is not black.",
     ),
 )
+PICTURE = combined(LIMIT, PICTURE_OPTIONS)
 
 
 class Run(NamedTuple):
@@ -184,42 +181,6 @@ def measurements(
                 f"expected NAME=VALUE+-SIGMA with two numbers, got '{text}'"
             ) from None
     return found
-
-
-def is_whole(text: str) -> bool:
-    """Whether a text is a whole number of a size that pixels have."""
-    return re.fullmatch(r"\s*[-+]?[0-9]{1,15}\s*", text) is not None
-
-
-def valid_pixels(ignore: tuple[str, ...], size: tuple[int, int]) -> np.ndarray | None:
-    """(h, w), False inside the ``X,Y,W,H`` rectangles and where an image is not black."""
-    if not ignore:
-        return None
-    import numpy as np
-
-    from godfit.io.image import read_image
-
-    valid = np.ones(size, bool)
-    for text in ignore:
-        numbers = text.split(",")
-        if len(numbers) == 4 and all(map(is_whole, numbers)):
-            x, y, w, h = (int(n) for n in numbers)
-            if w <= 0 or h <= 0:
-                raise InputError(f"--ignore: expected a width and height above 0, got '{text}'")
-            valid[max(y, 0) : max(y + h, 0), max(x, 0) : max(x + w, 0)] = False
-            continue
-        if len(numbers) == 4 and not os.path.exists(text):
-            raise InputError(
-                f"--ignore: expected X,Y,W,H in whole pixels or an image, got '{text}'"
-            )
-        image = np.atleast_3d(read_image(text).values)
-        if image.shape[:2] != size:
-            raise InputError(
-                f"--ignore: expected the target's {size[1]}x{size[0]} pixels, got "
-                f"{image.shape[1]}x{image.shape[0]} in '{text}'"
-            )
-        valid &= (image <= 0).all(-1)
-    return valid
 
 
 def colour(text: str | None, option: str) -> tuple[float, ...] | None:

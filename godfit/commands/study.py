@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import click
 
-from godfit.commands.options import Run, valid_pixels
+from godfit.commands.options import Run
 from godfit.commands.progress import LOADING, Progress, warn
 from godfit.errors import InputError
+from godfit.io.ignored import valid_pixels
 
 if TYPE_CHECKING:
     import numpy as np
@@ -30,20 +31,10 @@ VIDEO_FRAME = re.compile(r"#\d+$")
 """The number of a frame, at the end of its name."""
 NOT_CONVERGED = 3
 """Exit status of a fit that did not converge."""
-FIT_BYTES = 110
-"""Memory that a fit takes a pixel, in bytes: the difference between 1920x1080 and 512x512 pixels
-(docs/measured.md)."""
 PROGRAM_SETTINGS = {
     "model", "shader", "samples", "lights", "pass_scale", "transfer", "bright_pass",
 }  # fmt: skip
 """Options that change which programs are compiled."""
-
-FOREIGN = {
-    "mitchell": ("canvas", "rays"),
-    "hoffman-preetham": ("canvas", "rays", "shader", "lights"),
-    "flatland": ("mask", "scene", "background", "shader", "samples", "lights", "pass_scale"),
-}
-"""Settings of the file beside a target that a model does not have."""
 
 
 class Study(NamedTuple):
@@ -115,19 +106,14 @@ def opened(
     """The target with its options: those of the file beside it, overridden by ``given`` ones. With
     ``bare`` it needs neither a mask nor a scene."""
     from godfit.io.image import read_image
-    from godfit.io.sidecar import read_sidecar
+    from godfit.io.sidecar import options_beside
     from godfit.io.sources import without_holes
 
-    options = read_sidecar(target) | {k: v for k, v in given.items() if v is not None}
+    options = options_beside(target, given)
     ignore = options.pop("ignore")
     folder = folder_for([target], output)
     # The target is read first: a missing one should not be reported as a missing mask.
     image = read_image(target, transfer=options.get("transfer", "none"), finite=False)
-    for one, other in (("mask", "scene"), ("scene", "mask")):
-        if given[one] is not None and given[other] is None:
-            # An option of the command line replaces the one in the file beside the target.
-            options.pop(other, None)
-    drop_foreign(options, given)
     if "mask" in options and "scene" in options:
         raise click.UsageError("expected --mask or --scene, got both; a scene draws its own mask")
     if "mask" not in options and "scene" not in options and not bare:
@@ -137,16 +123,6 @@ def opened(
         )
     valid = valid_pixels(ignore, image.values.shape[:2])
     return Study(without_holes(image, valid), valid, options, folder)
-
-
-def drop_foreign(options: dict[str, Any], given: Mapping[str, Any]) -> None:
-    """Drop the settings of the file beside the target that the model of the command line does not
-    have, and the model of the file where options of another one were given."""
-    if given.get("model") is None and any(given.get(n) is not None for n in ("shader", "lights")):
-        options.pop("model", None)
-    for name in FOREIGN.get(options.get("model", ""), ()):
-        if given.get(name) is None:
-            options.pop(name, None)
 
 
 def start_jax() -> None:
@@ -193,7 +169,7 @@ def prepare(
     """Replace the scene's file by the scene, and warn of defaults that are assumed. ``size`` is
     the target's: each size has programs of its own. Raises InputError for a size whose fit needs
     more memory than there is."""
-    from godfit.runtime.memory import check_memory
+    from godfit.runtime.memory import FIT_BYTES, check_memory
 
     if size:
         check_memory(FIT_BYTES * size[0] * size[1], f"target: {size[1]}x{size[0]} pixels")

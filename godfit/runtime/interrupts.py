@@ -11,28 +11,41 @@ import _imp
 import contextlib
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import FrameType
 
 from godfit.runtime.files import remove_temporaries, written_files
 
-INTERRUPTED = 130
-"""Exit status after an interrupt: 128 plus the number of SIGINT, as shells have it."""
+SIGNALLED = 128
+"""Exit status after a signal, less its number, as shells have it: 130 for SIGINT, 143 for
+SIGTERM."""
+INTERRUPTED = SIGNALLED + signal.SIGINT
+"""Exit status after an interrupt."""
+# What a command says of its state instead of the files written; None for the files.
+_state: Callable[[], str] | None = None
 SHOW_CURSOR = "\r\x1b[2K\x1b[?25h"
 """What a terminal needs where a spinner was: an empty line, and its cursor."""
 
 
 def end_on_interrupt() -> None:
-    """Let SIGINT end the process. Nothing changes where the parent has it ignored, and the system
-    calls of native code go on after it."""
+    """Let SIGINT end the process, and SIGTERM, by which a queue of jobs takes a machine back.
+    Nothing changes where the parent has one ignored, and the system calls of native code go on
+    after it."""
     if _imp.lock_held():
         # Python dropped an interrupt of its own start, and kept the lock of its imports: the first
         # import of another thread would wait for ever.
         _end(signal.SIGINT, None)
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, _end)
-        if hasattr(signal, "siginterrupt"):
-            signal.siginterrupt(signal.SIGINT, False)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _end)
+            if hasattr(signal, "siginterrupt"):
+                signal.siginterrupt(number, False)
+
+
+def report_on_interrupt(state: Callable[[], str] | None) -> None:
+    """After an interrupt ``state`` is printed in place of the files written; None ends that."""
+    global _state
+    _state = state
 
 
 _requests: list[int] = []
@@ -66,7 +79,7 @@ def kept_for_later() -> Iterator[None]:
 
 def interrupt_message() -> str:
     """What is printed after an interrupt."""
-    return f"interrupted; {written_files()}"
+    return f"interrupted; {written_files() if _state is None else _state()}"
 
 
 def _end(number: int, frame: FrameType | None) -> None:
@@ -78,4 +91,4 @@ def _end(number: int, frame: FrameType | None) -> None:
     except OSError:
         pass
     finally:
-        os._exit(INTERRUPTED)
+        os._exit(SIGNALLED + number)

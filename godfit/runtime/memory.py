@@ -18,6 +18,9 @@ PROGRAM_BYTES = 9 << 27
 third of it is memory. A limit (``ulimit -v``) below this ends the process in native code."""
 THREAD_BYTES = 32 << 20
 """Address space that a core's threads take, in bytes: three stacks of 8 MiB, and what they hold."""
+FIT_BYTES = 110
+"""Memory that a fit takes a pixel, in bytes: the difference between 1920x1080 and 512x512 pixels
+(docs/measured.md)."""
 UNLIMITED = 1 << 60
 """A cgroup's limit from which it counts as none, in bytes."""
 CGROUP_FILES = (
@@ -56,6 +59,17 @@ def available_memory() -> int | None:
     found = [sum(free), *_group()] if free else list(_group())
     space = _address_space()
     return min([*found, *([] if space is None else [space])], default=None)
+
+
+def resident_memory() -> int | None:
+    """Bytes of memory that this process holds; None where the system does not say."""
+    try:
+        import resource
+
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        return pages * resource.getpagesize()
+    except (ImportError, OSError, ValueError):
+        return None
 
 
 def _address_space() -> int | None:
