@@ -63,6 +63,7 @@ def fit(
     distance: float | np.ndarray | None = None,
     fix: Mapping[str, float | None] | Sequence[str] | None = None,
     start: Mapping[str, float] | None = None,
+    light_near: tuple[float, float] | None = None,
     valid: np.ndarray | None = None,
     transfer: str = "none",
     channels: int | None = None,
@@ -108,6 +109,8 @@ def fit(
     - `fix`: parameters held, at a value or (None) at the start or the shader's default; names alone
       are held there too.
     - `start`: parameters to start from. None is needed.
+    - `light_near`: without a mask, (u, v) about where the light is, as by a click: it is searched
+      for within a few hundredths of the picture from there.
     - `valid`: (h, w), False where the target is to be ignored.
     - `transfer`: `"none"` or `"srgb"`, how the target (and the background) were encoded.
     - `channels`: 3 counts every channel of a grey picture. That costs time and adds no information,
@@ -128,8 +131,8 @@ def fit(
             target=target, mask=mask, scene=scene, canvas=canvas, model=model, free=tuple(free),
             background=background, occluder=occluder, bright_pass=bright_pass, shader=shader,
             samples=samples, rays=rays, lights=lights, pass_scale=pass_scale, fov=fov,
-            distance=distance, fix=fix, start=start, valid=valid, transfer=transfer,
-            channels=channels, inquire=inquire, max_values=max_values, seed=seed,
+            distance=distance, fix=fix, start=start, light_near=light_near, valid=valid,
+            transfer=transfer, channels=channels, inquire=inquire, max_values=max_values, seed=seed,
             progress=progress,
         ).checked()  # fmt: skip
         try:
@@ -178,9 +181,11 @@ def _fit_bare(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     settings = request.settings
     images = {"target": _target_of(request)}
     shading = mitchell_template(settings.get("shader", "mitchell"), settings.get("samples"), 1)
+    start = dict(request.start or {})
+    if request.light_near is not None:
+        start = dict(zip(("light_x", "light_y"), request.light_near, strict=True)) | start
     options = (
-        settings.get("pass_scale"), request.held_at, request.start or {}, request.seed,
-        request.report,
+        settings.get("pass_scale"), request.held_at, start, request.seed, request.report,
     )  # fmt: skip
     if request.bright_pass:
         found = photograph.found_in(images["target"], shading, request.valid, *options)
