@@ -90,3 +90,75 @@ def solved_mask(
         total[..., k] = decide(one, light, sure, order, packed, levels)
         mask[..., k] = one
     return mask, total * LEVELS
+
+
+BOXED_STEPS = 200
+"""Steps of the projected gradient on texels of which a bound alone is known."""
+AROUND = 6000
+"""Texels about the clipped ones whose light pass decides them, at most."""
+
+
+def dim_level(mask: np.ndarray, sure: np.ndarray) -> float:
+    """The value of the mask where it is open and no light: the most frequent one below a half."""
+    shown = mask[(sure == 1) & (mask < 0.5)]
+    if not len(shown):
+        return 0.0
+    count, edges = np.histogram(shown, 100, (0, 0.5))
+    # Black texels are as frequent as open ones; what is above them is the background.
+    count[:1] = 0
+    top = int(count.argmax())
+    near = shown[np.abs(shown - (edges[top] + edges[top + 1]) / 2) < 0.01]
+    return float(np.median(near)) if count[top] > 0.02 * len(shown) else 0.0
+
+
+def clipped_texels(texels, k, mask, model, seed=0):
+    """Values (h, w) of the mask's channel k, with those that are only bounded solved for: least
+    squares, 0 to 1, of the light pass of the known texels about them."""
+    from scipy import sparse
+
+    from godfit.scattering.mask_jacobian import PartlyKnownMask, PixelTaps, mask_jacobian
+
+    h, w = mask.shape
+    sure = texels.sure[..., k].reshape(-1)
+    open_ = np.flatnonzero(sure == 0)
+    if not len(open_):
+        return mask
+    (taps,) = model.taps
+    u, v = np.asarray(model.light[0], float)
+    place = np.array([u * w - 0.5, (1 - v) * h - 0.5])
+    rows, columns = np.divmod(np.arange(h * w), w)
+    radius = np.hypot(columns - place[0], rows - place[1])
+    reach = radius[open_].max() / max(1 - float(model.density), 0.05)
+    pixels = np.flatnonzero((sure == 1) & (radius < reach))
+    if len(pixels) > AROUND:
+        pixels = np.random.default_rng(seed).permutation(pixels)[:AROUND]
+    unknown = np.full(h * w, -1, np.int64)
+    unknown[open_] = np.arange(len(open_))
+    t = np.concatenate([[0.0], np.asarray(taps.t, float)])
+    c = np.concatenate([[float(taps.own)], np.asarray(taps.c, float)])
+    known, starts, cols, values = mask_jacobian(
+        pixels, PixelTaps(place, t, c),
+        PartlyKnownMask((h, w), mask.reshape(-1), unknown, len(open_), np.ones(h * w)),
+    )
+    a = sparse.csr_matrix((values, cols, starts), shape=(len(pixels), len(open_)))
+    want = texels.values[..., k].reshape(-1)[pixels] / LEVELS - known
+    at = a.T.tocsr()
+    # Steps of each texel by what all of them add to its pixels: convergent, and never too short.
+    size = np.maximum(at @ (a @ np.ones(len(open_))), 1e-12)
+    x = mask.reshape(-1)[open_].astype(float)
+    y, last = x.copy(), 1.0
+    for _ in range(BOXED_STEPS):
+        new = np.clip(y + (at @ (want - a @ y)) / size, 0, 1)
+        next_ = (1 + np.sqrt(1 + 4 * last * last)) / 2
+        y = new + (last - 1) / next_ * (new - x)
+        x, last = new, next_
+    out = mask.copy().reshape(-1)
+    out[open_] = x
+    return out.reshape(h, w)
+
+
+def labelled(mask, sure, levels):
+    """The mask (h, w) at the nearest of its ``levels`` where known."""
+    levels = np.asarray(levels)
+    near = levels[np.abs(mask[..., None] - levels).argmin(-1)]
+    return near

@@ -17,11 +17,19 @@ from godfit.runtime.numba_jit import fast_jit, jit
 
 TINY = 1e-12
 """Curvature of the cost by an x below which the picture does not depend on it."""
-QUIET = 1e-6
-"""Change of the cost in a sweep, levels squared, from which a ray is solved: a thousandth of what
-decides between candidates."""
-
-
+QUIET = 1e-9
+"""Change of the cost of a ray in a sweep, levels squared, from which it is solved: a millionth of
+what decides between candidates."""
+RIDGE = 1e-9
+"""Share by which curvatures are raised: those of neighbouring bins are all but alike."""
+DAMPED = 1e-4
+"""The same where it is only known roughly how x follows."""
+SWEEPS = 3
+"""Sweeps of coordinate descent between two solutions of all that is between its bounds."""
+BIN_PARTS = 4
+"""Points of a bin over which a weight is averaged, as the light pass is."""
+PARTLY_KNOWN = 0.9
+"""Share of a cell that is known from which it begins to count, so that its weight is continuous."""
 SPACING = 1.5
 """Pixels between the points that the mean of a cell is taken over, at most: no light is missed."""
 MOST_PARTS = 24
@@ -40,105 +48,203 @@ def kernel_weights(kappa, rho, own, step, bins):
     rate = max(kappa, 1e-6)
     total = (1 - math.exp(-rate)) / rate + own
     weights, inner = np.zeros(bins), np.zeros(bins)
-    whole = math.exp(-rate) / rate
-    last, count = 1 / rate, bins
+    for part in range(BIN_PARTS):
+        offset = (part + 0.5) / BIN_PARTS - 0.5
+        last = 0.0
+        for i in range(bins):
+            # The share of the way at which the bin ends, as a pixel of another bin has it. Taps
+            # lie between 0, the pixel, and rho.
+            gone = min(1 - math.exp(-(i + offset + 0.5) * step), rho)
+            value = (1 - math.exp(-rate / rho * gone)) / rate
+            weights[i] += (value - last) / (total * BIN_PARTS)
+            last = value
+    weights[0] += own / total
+    rest = 1.0
+    count = bins
     for i in range(bins):
-        # The share of the way at which the bin ends; taps lie between 1 - rho and 1.
-        gone = min(1 - math.exp(-(i + 0.5) * step), rho)
-        value = math.exp(-rate / rho * gone) / rate
-        weights[i] = (last - value + (own if i == 0 else 0.0)) / total
-        inner[i] = weights[i] + (value - whole) / total
-        last = value
-        if gone >= rho:
+        inner[i] = max(rest, 0.0)
+        rest -= weights[i]
+        if count == bins and 1 - math.exp(-(i - 0.5) * step) >= rho:
             count = i + 1
-            break
     return weights[:count], inner
 
 
 @fast_jit
-def solve_rays(light, weight, kernel, inner, bounds, x, sweeps):
+def solve_rays(light, weight, design, bounds, x, rounds):
     """Solve x (rays, bins) in place, from where it is, and return the residuals (rays, bins), light
     minus its prediction.
 
-    Least squares of ``light`` with ``weight`` (rays, bins) by coordinate descent; ``bounds``
-    (2, bins) are the upper bounds of x, whose lower one is 0, and slopes towards them. The
-    innermost x is that of all that is farther in: ``inner`` (bins,) are its weights.
+    Least squares of ``light`` with ``weight`` (rays, bins); ``bounds`` (2, bins) are the upper
+    bounds of x, whose lower one is 0, and slopes towards them; ``design`` (bins, bins) maps x to
+    the light pass. In each of at most so many ``rounds`` sweeps
+    of coordinate descent find which x are at a bound, and the others are solved for together.
     """
     rays, bins = light.shape
-    count = len(kernel)
-    residual = np.empty_like(light)
-    size = np.empty(bins)
+    residual = np.zeros_like(light)
+    gram, slope = np.empty((bins, bins)), np.empty(bins)
     for a in range(rays):
         # Beyond the last bin that is observed nothing has an effect.
         end = 0
         for i in range(bins):
             if weight[a, i] > 0:
                 end = i + 1
-        for i in range(end):
-            total = inner[i] * x[a, 0]
-            for j in range(max(1, i - count + 1), i + 1):
-                total += kernel[i - j] * x[a, j]
-            residual[a, i] = light[a, i] - total
-        for i in range(end, bins):
-            residual[a, i] = 0.0
         for j in range(end):
-            total = 0.0
-            for i in range(j, end if j == 0 else min(end, j + count)):
-                k = inner[i] if j == 0 else kernel[i - j]
-                total += weight[a, i] * k * k
-            size[j] = total
-        for _ in range(sweeps):
-            moved = 0.0
-            for j in range(end):
-                if size[j] <= TINY:
+            slope[j] = bounds[1, j]
+            for m in range(j, end):
+                gram[j, m] = 0.0
+            for i in range(j, end):
+                scaled = weight[a, i] * design[i, j]
+                if scaled == 0.0:
                     continue
-                new = x[a, j]
-                slope = bounds[1, j]
-                if j == 0:
-                    for i in range(end):
-                        slope += weight[a, i] * residual[a, i] * inner[i]
-                else:
-                    for i in range(j, min(end, j + count)):
-                        slope += weight[a, i] * residual[a, i] * kernel[i - j]
-                new = min(max(x[a, j] + slope / size[j], 0.0), bounds[0, j])
-                change = new - x[a, j]
-                if change != 0.0:
-                    x[a, j] = new
-                    moved += size[j] * change * change
-                    if j == 0:
-                        for i in range(end):
-                            residual[a, i] -= change * inner[i]
-                    else:
-                        for i in range(j, min(end, j + count)):
-                            residual[a, i] -= change * kernel[i - j]
-            if moved < QUIET / rays:
-                break
+                slope[j] += scaled * light[a, i]
+                for m in range(j, i + 1):
+                    gram[j, m] += scaled * design[i, m]
+        for j in range(end):
+            for m in range(j + 1, end):
+                gram[m, j] = gram[j, m]
+        _solve_bounded(gram, slope, bounds[0], x[a], end, rounds)
+        for i in range(end):
+            total = 0.0
+            for j in range(i + 1):
+                total += design[i, j] * x[a, j]
+            residual[a, i] = light[a, i] - total
     return residual
 
 
 @fast_jit
-def slopes(x, force, kernel, inner, upper):
-    """Sums of ``force`` (rays, bins), weight times residual: times x so many bins further in
-    (bins,); times the innermost x (bins,); and, where x is at its bound, times the weight of x
-    (bins,). These are the slopes, with their signs turned, by kernel, ``inner`` and ``upper``."""
-    rays, bins = x.shape
-    count = len(kernel)
-    out = np.zeros((3, bins))
-    for a in range(rays):
-        for i in range(bins):
-            r = force[a, i]
-            if r != 0.0:
-                out[1, i] += r * x[a, 0]
-                for t in range(min(count, i)):
-                    out[0, t] += r * x[a, i - t]
-        for j in range(bins):
-            if x[a, j] >= upper[j]:
-                if j == 0:
-                    for i in range(bins):
-                        out[2, 0] += force[a, i] * inner[i]
+def _solve_bounded(gram, slope, upper, x, end, rounds):
+    """Least x gram x / 2 - slope x with 0 <= x <= ``upper`` over the first ``end`` numbers, in
+    place."""
+    left = np.empty(end)
+    for j in range(end):
+        total = slope[j]
+        for m in range(end):
+            total -= gram[j, m] * x[m]
+        left[j] = total
+    free, factor, step = np.empty(end, np.int64), np.empty((end, end)), np.empty(end)
+    for _ in range(rounds):
+        moved = 0.0
+        for _ in range(SWEEPS):
+            moved = 0.0
+            for j in range(end):
+                if gram[j, j] <= TINY:
+                    continue
+                new = min(max(x[j] + left[j] / gram[j, j], 0.0), upper[j])
+                change = new - x[j]
+                if change != 0.0:
+                    x[j] = new
+                    moved += gram[j, j] * change * change
+                    for m in range(end):
+                        left[m] -= change * gram[j, m]
+        if moved < QUIET:
+            break
+        count = 0
+        for j in range(end):
+            if gram[j, j] > TINY and 0.0 < x[j] < upper[j]:
+                free[count] = j
+                count += 1
+        # Cholesky's factor of the free part, and its solution.
+        for p in range(count):
+            for q in range(p + 1):
+                total = gram[free[p], free[q]]
+                if p == q:
+                    total *= 1 + RIDGE
+                for k in range(q):
+                    total -= factor[p, k] * factor[q, k]
+                if p == q:
+                    factor[p, p] = math.sqrt(max(total, RIDGE * gram[free[p], free[p]]))
                 else:
-                    for i in range(j, min(bins, j + count)):
-                        out[2, j] += force[a, i] * kernel[i - j]
+                    factor[p, q] = total / factor[q, q]
+        for p in range(count):
+            total = left[free[p]]
+            for k in range(p):
+                total -= factor[p, k] * step[k]
+            step[p] = total / factor[p, p]
+        for p in range(count - 1, -1, -1):
+            total = step[p]
+            for k in range(p + 1, count):
+                total -= factor[k, p] * step[k]
+            step[p] = total / factor[p, p]
+        # As far as the first bound.
+        share = 1.0
+        for p in range(count):
+            j = free[p]
+            if x[j] + share * step[p] < 0:
+                share = -x[j] / step[p]
+            elif x[j] + share * step[p] > upper[j]:
+                share = (upper[j] - x[j]) / step[p]
+        for p in range(count):
+            j = free[p]
+            new = min(max(x[j] + share * step[p], 0.0), upper[j])
+            change = new - x[j]
+            x[j] = new
+            for m in range(end):
+                left[m] -= change * gram[j, m]
+
+
+@fast_jit
+def curvature(x, weight, design, upper, moved):
+    """(p, p) curvature of the cost by p numbers of a candidate, in which each x that is between its
+    bounds follows.
+
+    ``moved`` (p, rays, bins) is how the residuals change with each number while those x stay. The
+    part of it that these x take up, by least squares with ``weight``, is left out (variable
+    projection: Golub and Pereyra, Inverse Problems 19, 2003, with Kaufman's simplification).
+    """
+    numbers, rays, bins = moved.shape
+    out = np.zeros((numbers, numbers))
+    factor, part = np.empty((bins, bins)), np.empty(bins)
+    free = np.empty(bins, np.int64)
+    change = np.empty((numbers, bins))
+    for a in range(rays):
+        count = 0
+        for j in range(bins):
+            if 0.0 < x[a, j] < upper[j]:
+                total = 0.0
+                for i in range(j, bins):
+                    total += weight[a, i] * design[i, j] * design[i, j]
+                if total > TINY:
+                    free[count] = j
+                    factor[count, count] = total
+                    count += 1
+        for p in range(count):
+            for q in range(p + 1):
+                total = factor[p, p] * (1 + DAMPED) if p == q else 0.0
+                if p != q:
+                    for i in range(free[p], bins):
+                        total += weight[a, i] * design[i, free[p]] * design[i, free[q]]
+                for k in range(q):
+                    total -= factor[p, k] * factor[q, k]
+                if p == q:
+                    factor[p, p] = math.sqrt(max(total, TINY))
+                else:
+                    factor[p, q] = total / factor[q, q]
+        for number in range(numbers):
+            for i in range(bins):
+                change[number, i] = moved[number, a, i]
+            for p in range(count):
+                total = 0.0
+                for i in range(free[p], bins):
+                    total += weight[a, i] * design[i, free[p]] * change[number, i]
+                for k in range(p):
+                    total -= factor[p, k] * part[k]
+                part[p] = total / factor[p, p]
+            for p in range(count - 1, -1, -1):
+                total = part[p]
+                for k in range(p + 1, count):
+                    total -= factor[k, p] * part[k]
+                part[p] = total / factor[p, p]
+            for p in range(count):
+                for i in range(free[p], bins):
+                    change[number, i] -= design[i, free[p]] * part[p]
+        for m in range(numbers):
+            for n in range(m + 1):
+                total = 0.0
+                for i in range(bins):
+                    total += weight[a, i] * change[m, i] * change[n, i]
+                out[m, n] += total
+                if m != n:
+                    out[n, m] += total
     return out
 
 
@@ -172,9 +278,10 @@ def cell_means(image, known, at, first_angle, turn, radii, grid):
                     if column < 0 or row < 0 or column > w - 1 or row > h - 1:
                         continue
                     i, j = min(int(column), w - 2), min(int(row), h - 2)
-                    if known[j, i] * known[j, i + 1] * known[j + 1, i] * known[j + 1, i + 1] == 0:
-                        continue
                     s, t = column - i, row - j
+                    sure[a, b] += (1 - t) * ((1 - s) * known[j, i] + s * known[j, i + 1]) + t * (
+                        (1 - s) * known[j + 1, i] + s * known[j + 1, i + 1]
+                    )
                     upper = image[j, i + 1] - image[j, i]
                     lower = image[j + 1, i + 1] - image[j + 1, i]
                     top = image[j, i] + s * upper
@@ -185,5 +292,6 @@ def cell_means(image, known, at, first_angle, turn, radii, grid):
                     count += 1
             if count > 0:
                 value[a, b], by_x[a, b], by_y[a, b] = total / count, total_x / count, total_y / count
-                sure[a, b] = count * share
+                most = (sure[a, b] / count - PARTLY_KNOWN) / (1 - PARTLY_KNOWN)
+                sure[a, b] = max(0.0, most) * count * share
     return value, by_x, by_y, sure

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from godfit.blind.ray_kernel import kernel_weights, cell_means, slopes, solve_rays
+from godfit.blind.ray_kernel import cell_means, curvature, kernel_weights, solve_rays
 
 RAYS = 56
 """Rays from a candidate light: fewer miss objects, more take time alone."""
@@ -43,6 +43,15 @@ class Candidate(NamedTuple):
     radius: float
 
 
+class Misfit(NamedTuple):
+    """The cost of a candidate, its slopes (8,) and its curvature (8, 8), by the numbers of a
+    candidate, the last two in their logarithms."""
+
+    cost: float
+    slope: np.ndarray | None = None
+    curvature: np.ndarray | None = None
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class RayMisfit:
     """The misfit on a copy (h, w) of a light pass in levels, known where ``known`` is 1."""
@@ -59,9 +68,11 @@ class RayMisfit:
         count = int(np.log(np.hypot(h, w) / (INNERMOST * w)) / self.step) + 1
         return INNERMOST * w * np.exp(self.step * np.arange(count))
 
-    def __call__(self, at: Candidate, x: np.ndarray, sweeps: int) -> tuple[float, np.ndarray]:
-        """The cost of a candidate and its slopes (8,). ``x`` (rays, bins), levels of the light pass
-        over the mask's values, is where the solution begins and where it is written."""
+    def __call__(
+        self, at: Candidate, x: np.ndarray, rounds: int, slopes: bool = True
+    ) -> Misfit:
+        """The misfit of a candidate. ``x`` (rays, bins), levels of the light pass over the mask's
+        values, is where the solution begins and where it is written."""
         h, w = self.image.shape
         radii = self.radii
         place = np.array([at.u * w - 0.5, (1 - at.v) * h - 0.5])
@@ -72,39 +83,47 @@ class RayMisfit:
         )
         weight = sure * radii**2
         weight /= max(weight.sum(), 1e-12)
-        kernel, inner = kernel_weights(at.kappa, at.rho, at.own, self.step, len(radii))
+        design = self.design(at)
         place_in = (np.log(at.radius * w) - np.log(radii)) / self.step + 0.5
         inside = np.clip(place_in, 0, 1)
         inside[0] = 1.0
         upper = at.dim + (at.bright - at.dim) * inside
         pull = OPEN / x.size * (1 - inside)
         np.minimum(x, upper, out=x)
-        bounds = np.stack([upper, pull])
-        residual = solve_rays(light, weight, kernel, inner, bounds, x, sweeps)
+        residual = solve_rays(light, weight, design, np.stack([upper, pull]), x, rounds)
         force = weight * residual
-        cost = 0.5 * float((force * residual).sum() + 2 * (pull * (upper - x)).sum())
+        cost = 0.5 * float((force * residual).sum()) + float((pull * (upper - x)).sum())
         cost += FAINT_LIGHT * np.log(at.bright) + SMALL_LIGHT * np.log(at.radius)
-        by_kernel, by_inner, at_bound = slopes(x, force, kernel, inner, upper)
-        slope = np.zeros(8)
-        slope[0] = (force * by_x).sum() * w
-        slope[1] = -(force * by_y).sum() * h
-        for i, by in ((2, 1e-4), (3, 1e-4), (4, 1e-5)):
-            moved = [
-                kernel_weights(*(np.array(at[2:5]) + s * by * (np.arange(3) == i - 2)), self.step, len(radii))
-                for s in (-1, 1)
-            ]
-            change = np.zeros(len(radii))
-            change[: len(moved[1][0])] += moved[1][0]
-            change[: len(moved[0][0])] -= moved[0][0]
-            slope[i] = -(by_kernel @ change + by_inner @ (moved[1][1] - moved[0][1])) / (2 * by)
-        interior = (x < upper).sum(0)
-        by_upper = -at_bound + pull * interior
-        slope[5] = (by_upper * (1 - inside)).sum()
-        slope[6] = (by_upper * inside).sum() + FAINT_LIGHT / at.bright
-        by_inside = by_upper * (at.bright - at.dim) - OPEN / x.size * (upper - x).sum(0)
+        if not slopes:
+            return Misfit(cost)
+        # How residuals change with each number, while what is between its bounds stays.
+        at_bound = x >= upper
+        moved = np.zeros((8, *x.shape))
+        moved[0], moved[1] = by_x * w, -by_y * h
+        for i, by in ((2, 1e-3), (3, 1e-3), (4, 1e-4)):
+            change = self.design(_with(at, i, by)) - self.design(_with(at, i, -by))
+            moved[i] = -(x @ change.T) / (2 * by)
         partly = (inside > 0) & (inside < 1)
-        slope[7] = (by_inside * partly).sum() / (self.step * at.radius) + SMALL_LIGHT / at.radius
-        return cost, slope
+        wider = (at.bright - at.dim) * partly / self.step
+        for i, grown in ((5, 1 - inside), (6, inside * at.bright), (7, wider)):
+            moved[i] = -(at_bound * grown) @ design.T
+        slope = (force * moved).sum((1, 2))
+        interior = pull * (~at_bound).sum(0)
+        slope[5] += (interior * (1 - inside)).sum()
+        slope[6] += (interior * inside).sum() * at.bright + FAINT_LIGHT
+        slope[7] += (interior * wider).sum() + SMALL_LIGHT
+        slope[7] -= (OPEN / x.size * (upper - x) * partly / self.step).sum()
+        return Misfit(cost, slope, curvature(x, weight, design, upper, moved))
+
+    def design(self, at: Candidate) -> np.ndarray:
+        """(bins, bins) light pass at each bin by x at each bin."""
+        n = len(self.radii)
+        kernel, inner = kernel_weights(at.kappa, at.rho, at.own, self.step, n)
+        full = np.concatenate([kernel, np.zeros(n)])
+        lag = np.subtract.outer(np.arange(n), np.arange(n))
+        design = np.where(lag >= 0, full[np.maximum(lag, 0)], 0.0)
+        design[:, 0] = inner
+        return design
 
 
 def _angles(place: np.ndarray, w: int, h: int) -> tuple[float, float]:
@@ -117,3 +136,10 @@ def _angles(place: np.ndarray, w: int, h: int) -> tuple[float, float]:
     middle = np.arctan2((h - 1) / 2 - y, (w - 1) / 2 - x)
     off = (np.arctan2(corners[:, 1], corners[:, 0]) - middle + np.pi) % (2 * np.pi) - np.pi
     return float(middle + off.min()), float(np.ptp(off))
+
+
+def _with(at: Candidate, index: int, by: float) -> Candidate:
+    """The candidate with one number larger by ``by``."""
+    numbers = list(at)
+    numbers[index] += by
+    return Candidate(*numbers)
