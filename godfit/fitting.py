@@ -67,6 +67,7 @@ def fit(
     fix: Mapping[str, float | None] | Sequence[str] | None = None,
     start: Mapping[str, float] | None = None,
     prior: Prior | None = None,
+    light_near: tuple[float, float] | None = None,
     valid: np.ndarray | None = None,
     transfer: str = "none",
     arithmetic: str | None = None,
@@ -115,6 +116,8 @@ def fit(
     - `start`: parameters to start from. None is needed.
     - `prior`: (mean, standard deviation) of parameters that are known beforehand, by name: each is
       one more Gaussian row of the likelihood.
+    - `light_near`: without a mask, (u, v) about where the light is, as by a click: it is searched
+      for within a few hundredths of the picture from there.
     - `valid`: (h, w), False where the target is to be ignored.
     - `transfer`: `"none"` or `"srgb"`, how the target (and the background) were encoded.
     - `arithmetic`: `"gpu"`, in which a shader walks to the light in float32, or `"exact"`; errors
@@ -138,9 +141,9 @@ def fit(
             target=target, mask=mask, scene=scene, canvas=canvas, model=model, free=tuple(free),
             background=background, occluder=occluder, bright_pass=bright_pass, shader=shader,
             samples=samples, rays=rays, lights=lights, pass_scale=pass_scale, fov=fov,
-            distance=distance, fix=fix, start=start, prior=prior, valid=valid, transfer=transfer,
-            arithmetic=arithmetic, channels=channels, inquire=inquire, max_values=max_values,
-            seed=seed, progress=progress,
+            distance=distance, fix=fix, start=start, prior=prior, light_near=light_near,
+            valid=valid, transfer=transfer, arithmetic=arithmetic, channels=channels,
+            inquire=inquire, max_values=max_values, seed=seed, progress=progress,
         ).checked()  # fmt: skip
         try:
             return _fit(request)
@@ -188,6 +191,9 @@ def _fit_bare(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     settings = request.settings
     images = {"target": _target_of(request)}
     shading = mitchell_template(settings.get("shader", "mitchell"), settings.get("samples"), 1)
+    start = dict(request.start or {})
+    if request.light_near is not None:
+        start = dict(zip(("light_x", "light_y"), request.light_near, strict=True)) | start
     blocked = None
     if request.occluder is not None:
         images["occluder"] = read_source(request.occluder, "none", "occluder")
@@ -195,7 +201,7 @@ def _fit_bare(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     asked = bare_fit.Settings(
         valid=request.valid, occluder=blocked, bright_pass=request.bright_pass,
         lights=request.lights, pass_scale=settings.get("pass_scale"), fix=request.held_at,
-        start=request.start or {}, seed=request.seed,
+        start=start, seed=request.seed,
     )  # fmt: skip
     found, notes = bare_fit.found_in(images["target"], shading, asked, request.report)
     return found, notes, images

@@ -51,6 +51,7 @@ class Request:
     fix: Mapping[str, float | None] | Sequence[str] | None = None
     start: Mapping[str, float] | None = None
     prior: Prior | None = None
+    light_near: tuple[float, float] | None = None
     valid: np.ndarray | None = None
     transfer: str = "none"
     arithmetic: str | None = None
@@ -114,6 +115,7 @@ class Request:
             raise InputError("prior: expected a mask, a scene or a canvas with it, got none")
         if self.bright_pass and not self.bare:
             raise InputError("bright pass: expected no mask, scene or canvas with it, got one")
+        self._check_light_near()
         for role in ("mask", "background"):
             if is_same(self.target, getattr(self, role)):
                 raise InputError(
@@ -137,6 +139,20 @@ class Request:
             )
         if self.bright_pass and self.occluder is not None:
             raise InputError("occluder: expected none with --bright-pass, got one; give either")
+
+    def _check_light_near(self) -> None:
+        """Raise InputError for a light's rough position that is no position, or has no use."""
+        if self.light_near is None:
+            return
+        if not self.bare:
+            raise InputError(
+                "light near: expected no mask, scene or canvas with it, got one; start the light "
+                "with --light U,V"
+            )
+        if np.shape(self.light_near) != (2,) or not np.isfinite(self.light_near).all():
+            raise InputError(
+                f"light near: expected two finite numbers U,V, got {self.light_near!r}"
+            )
 
     def _check_plane(self) -> None:
         """Raise InputError for options that the light in the plane does not have."""

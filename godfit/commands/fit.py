@@ -10,7 +10,7 @@ import click
 
 from godfit.commands import STARTED
 from godfit.commands.clip import fit_frames
-from godfit.commands.lights import Lights, with_light
+from godfit.commands.lights import Lights, near, with_light
 from godfit.commands.options import (
     BRIGHT_PASS,
     PICTURE,
@@ -51,6 +51,12 @@ if TYPE_CHECKING:
 @click.option("--lights", type=int, help="Number of lights. [default: 1, or as many as --light]")
 @with_light(
     "Start the search of a light here, as --start light_x and light_y do; repeat for several."
+)
+@click.option(
+    "--light-near",
+    metavar="U,V",
+    callback=near,
+    help="Without a mask: about where the light is, as by a click.",
 )
 @click.option(
     "--fix",

@@ -89,12 +89,22 @@ def lights_given(uv: tuple[str, ...], px: tuple[str, ...], origin: str | None) -
         raise click.UsageError("--light-origin: expected --light U,V with it, got none")
     option, texts, form = ("light_px", px, "X,Y") if px else ("light", uv, "U,V")
     lights = Lights(option, (), origin or "bottom")
-    places = []
-    for text in texts:
-        x, y = numbers(text, form, lights.flag)
-        if not (math.isfinite(x) and math.isfinite(y)):
-            raise click.BadParameter(
-                f"expected two finite numbers {form}, got '{text}'", param_hint=lights.flag
-            )
-        places.append((x, y))
-    return lights._replace(places=tuple(places))
+    return lights._replace(places=tuple(_place(text, form, lights.flag) for text in texts))
+
+
+def _place(text: str, form: str, flag: str) -> tuple[float, float]:
+    """The two numbers of a text of the ``form`` X,Y. Raises BadParameter where they are not finite,
+    in the name of the option ``flag``."""
+    x, y = numbers(text, form, flag)
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise click.BadParameter(
+            f"expected two finite numbers {form}, got '{text}'", param_hint=flag
+        )
+    return x, y
+
+
+def near(
+    context: click.Context, option: click.Parameter, text: str | None
+) -> tuple[float, float] | None:
+    """The text of ``--light-near`` as (u, v); None stays None."""
+    return None if text is None else _place(text, "U,V", "--light-near")

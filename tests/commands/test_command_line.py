@@ -413,6 +413,8 @@ def test_a_light_starts_a_fit_and_is_held_by_select(disc, capsys, monkeypatch, w
         ("fit", ["--light", "1,2", "--light-px", "1,2"], "got both; give one"),
         ("fit", ["--light-origin", "top"], "--light-origin: expected --light U,V with it"),
         ("fit", ["--light-px", "1"], "expected X,Y, got '1'"),
+        ("fit", ["--light-near", "1"], "expected U,V, got '1'"),
+        ("fit", ["--light-near", "1,inf"], "expected two finite numbers U,V, got '1,inf'"),
         ("fit", ["--light", "nan,1"], "expected two finite numbers U,V"),
         ("fit", ["--light", "1,2", "--start", "light_y=1"], "expected no --start light_y with it"),
         ("fit", ["--light", "1,2", "--free", "light.position"], "expected no --free with it"),

@@ -1,0 +1,165 @@
+"""The mask of a light pass whose light and numbers are known, in texels of the pass."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy import ndimage
+
+from godfit.blind.light_pass import LightPass
+from godfit.blind.mask_kernel import decide
+from godfit.io.filters import shrink
+from godfit.io.image import LEVELS
+
+SHARPENED = 6
+"""Steps by which the mean over a texel's pixels is corrected for the bilinear read between them:
+the error shrinks by a quarter with each."""
+HALF_SIZE_ERROR = 1.0
+"""Largest root mean square difference, in half-widths of the pixels, between a light pass and its
+copy of half the size read bilinearly, if it is such a copy."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class TexelLight:
+    """A light pass in texels: ``values`` (h, w, c) in levels; ``sure`` 1 where known, 0 where a
+    lower bound, -1 where nothing is known; ``factor`` pixels are a texel."""
+
+    values: np.ndarray
+    sure: np.ndarray
+    factor: int
+
+
+def upsampled(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """(h, w, c) read bilinearly at the pixels of a picture of ``size``, clamped to the edge."""
+    h, w = values.shape[:2]
+    rows = (np.arange(size[0]) + 0.5) * h / size[0] - 0.5
+    columns = (np.arange(size[1]) + 0.5) * w / size[1] - 0.5
+    for axis, at in ((0, rows), (1, columns)):
+        at = np.clip(at, 0, values.shape[axis] - 1)
+        low = np.minimum(at.astype(int), values.shape[axis] - 2)
+        share = (at - low).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
+        first, second = np.take(values, low, axis), np.take(values, low + 1, axis)
+        values = first + share * (second - first)
+    return values
+
+
+def texels_of(light: LightPass, valid: np.ndarray | None) -> TexelLight:
+    """The light pass at half its size if that, read bilinearly, is what it shows, else as it is."""
+    shown = light.known if valid is None else light.known | valid[..., None]
+    whole = TexelLight(light.values, np.where(light.known, 1, np.where(shown, 0, -1)), 1)
+    h, w = light.size
+    small = (h // 2, w // 2)
+    if h % 2 or w % 2:
+        return whole
+    share = shrink(light.known.astype(np.float32), small)
+    mean = shrink(light.values.astype(np.float32), small).astype(float)
+    values = mean.copy()
+    for _ in range(SHARPENED):
+        again = shrink(upsampled(values, light.size).astype(np.float32), small)
+        values += np.where(share == 1, mean - again, 0)
+    near = ndimage.minimum_filter(share, (3, 3, 1)) == 1
+    check = light.known & np.repeat(np.repeat(near, 2, 0), 2, 1)
+    if not check.any():
+        return whole
+    error = ((upsampled(values, light.size) - light.values) / np.maximum(light.half, 0.5))[check]
+    if np.sqrt(np.mean(error**2)) > HALF_SIZE_ERROR:
+        return whole
+    hidden = shrink((whole.sure < 0).astype(np.float32), small) > 0
+    sure = np.where(share == 1, 1, np.where(hidden, -1, 0))
+    return TexelLight(values, sure, 2)
+
+
+def solved_mask(
+    texels: TexelLight, model, start: np.ndarray, levels: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The mask (h, w, c) under ``model``, and the light pass that it makes, in levels."""
+    h, w, channels = texels.values.shape
+    (taps,) = model.taps
+    u, v = np.asarray(model.light[0], float)
+    place = (u * w - 0.5, (1 - v) * h - 0.5)
+    t, c = np.asarray(taps.t, float), np.asarray(taps.c, float)
+    packed = (place, float(taps.own), t, c)
+    rows, columns = np.divmod(np.arange(h * w), w)
+    order = np.argsort((columns - place[0]) ** 2 + (rows - place[1]) ** 2, kind="stable")
+    mask, total = np.empty((h, w, channels)), np.empty((h, w, channels))
+    for k in range(channels):
+        one = np.ascontiguousarray(start[..., min(k, start.shape[-1] - 1)], float)
+        light = np.ascontiguousarray(texels.values[..., k]) / LEVELS
+        sure = np.ascontiguousarray(texels.sure[..., k])
+        total[..., k] = decide(one, light, sure, order, packed, levels)
+        mask[..., k] = one
+    return mask, total * LEVELS
+
+
+BOXED_STEPS = 200
+"""Steps of the projected gradient on texels of which a bound alone is known."""
+AROUND = 6000
+"""Texels about the clipped ones whose light pass decides them, at most."""
+
+
+def dim_level(mask: np.ndarray, sure: np.ndarray) -> float:
+    """The value of the mask where it is open and no light: the most frequent one below a half."""
+    shown = mask[(sure == 1) & (mask < 0.5)]
+    if not len(shown):
+        return 0.0
+    count, edges = np.histogram(shown, 100, (0, 0.5))
+    # Black texels are as frequent as open ones; what is above them is the background.
+    count[:1] = 0
+    top = int(count.argmax())
+    near = shown[np.abs(shown - (edges[top] + edges[top + 1]) / 2) < 0.01]
+    return float(np.median(near)) if count[top] > 0.02 * len(shown) else 0.0
+
+
+def clipped_texels(texels, k, mask, model, seed=0):
+    """Values (h, w) of the mask's channel k, with those that are only bounded solved for: least
+    squares, 0 to 1, of the light pass of the known texels about them."""
+    from scipy import sparse
+
+    from godfit.scattering.mask_jacobian import PartlyKnownMask, PixelTaps, mask_jacobian
+
+    h, w = mask.shape
+    sure = texels.sure[..., k].reshape(-1)
+    open_ = np.flatnonzero(sure == 0)
+    if not len(open_):
+        return mask
+    (taps,) = model.taps
+    u, v = np.asarray(model.light[0], float)
+    place = np.array([u * w - 0.5, (1 - v) * h - 0.5])
+    rows, columns = np.divmod(np.arange(h * w), w)
+    radius = np.hypot(columns - place[0], rows - place[1])
+    reach = radius[open_].max() / max(1 - float(model.density), 0.05)
+    pixels = np.flatnonzero((sure == 1) & (radius < reach))
+    if len(pixels) > AROUND:
+        pixels = np.random.default_rng(seed).permutation(pixels)[:AROUND]
+    unknown = np.full(h * w, -1, np.int64)
+    unknown[open_] = np.arange(len(open_))
+    t = np.concatenate([[0.0], np.asarray(taps.t, float)])
+    c = np.concatenate([[float(taps.own)], np.asarray(taps.c, float)])
+    known, starts, cols, values = mask_jacobian(
+        pixels,
+        PixelTaps(place, t, c),
+        PartlyKnownMask((h, w), mask.reshape(-1), unknown, len(open_), np.ones(h * w)),
+    )
+    a = sparse.csr_matrix((values, cols, starts), shape=(len(pixels), len(open_)))
+    want = texels.values[..., k].reshape(-1)[pixels] / LEVELS - known
+    at = a.T.tocsr()
+    # Steps of each texel by what all of them add to its pixels: convergent, and never too short.
+    size = np.maximum(at @ (a @ np.ones(len(open_))), 1e-12)
+    x = mask.reshape(-1)[open_].astype(float)
+    y, last = x.copy(), 1.0
+    for _ in range(BOXED_STEPS):
+        new = np.clip(y + (at @ (want - a @ y)) / size, 0, 1)
+        next_ = (1 + np.sqrt(1 + 4 * last * last)) / 2
+        y = new + (last - 1) / next_ * (new - x)
+        x, last = new, next_
+    out = mask.copy().reshape(-1)
+    out[open_] = x
+    return out.reshape(h, w)
+
+
+def labelled(mask, sure, levels):
+    """The mask (h, w) at the nearest of its ``levels`` where known."""
+    levels = np.asarray(levels)
+    near = levels[np.abs(mask[..., None] - levels).argmin(-1)]
+    return near

@@ -1,0 +1,198 @@
+"""The search of light and numbers in a light pass whose mask is unknown."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from godfit.blind.rays import INNERMOST, Candidate, RayMisfit
+
+SCALES = np.array([0.01, 0.01, 0.5, 0.05, 0.005, 3.0, 0.2, 0.2])
+"""Steps of a candidate's numbers that change the cost alike; the last two are logarithms."""
+LOWEST = np.array([-0.5, -0.5, 0.02, 0.1, 0.0, 1e-3, 1.0, np.log(0.012)])
+HIGHEST = np.array([1.5, 1.5, 20.0, 0.995, 0.3, 250.0, 9.0, np.log(0.4)])
+"""Ranges of the eight numbers, the last two as logarithms."""
+OWN = (0.5, 5.0)
+"""Range of the own pixel's weight times the number of taps: that of 1 over a shader's weight."""
+COARSE = (28, 0.13)
+"""Rays and step of the misfit on the grid: a quarter of the work."""
+FINE = (80, 0.045)
+"""Those of the last climb, on the light pass's own texels."""
+GRID = 26
+"""Lights of the grid across the picture's width."""
+MARGIN = 0.15
+"""How far the grid goes beyond the picture, as a share of its size."""
+GRID_NUMBERS = ((2.0, 0.8, 0.05), (5.0, 0.8, 0.05), (3.0, 0.8, 0.12))
+"""Attenuation, density and radius at each of the lights."""
+STARTS = 8
+"""Lights of the grid from which the numbers are solved for."""
+APART = 0.04
+"""Distance of two of them, in widths, at least."""
+KEPT = 3
+"""The best of them, which are solved for once more on the fine rays."""
+FIRST_DAMPING, MOST_DAMPING = 0.1, 1e4
+"""Damping of the first step, and that from which a candidate is left where it is."""
+LEAST_CURVATURE = 1e-3
+"""Curvature that damping adds to, in scaled numbers: that of the terms of the light's size."""
+LONGEST_STEP = 3.0
+"""Longest step, in scales: nearly linear changes."""
+SMALL_GAIN = 5e-5
+"""Gain in cost of a step from which two of them are the last."""
+FIRST_SWEEPS, SWEEPS = 8, 3
+"""Sweeps along each ray from nothing, and from where the last candidate's solution is."""
+
+
+class Ranges(NamedTuple):
+    """(8,) lower and upper ends of a candidate's numbers, in scales, and which of them move."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+    free: np.ndarray
+
+    @staticmethod
+    def of(image: np.ndarray, samples: int, own_pixel: bool) -> Ranges:
+        """The ranges in a light pass (h, w) of a shader with so many ``samples``: no light is
+        fainter than what is brightest."""
+        lower, upper, free = LOWEST.copy(), HIGHEST.copy(), np.ones(8, bool)
+        lower[4], upper[4] = np.array(OWN) / samples if own_pixel else (0.0, 0.0)
+        lower[6] = np.log(max(image.max(), 1.0))
+        free[4] = own_pixel
+        return Ranges(lower / SCALES, upper / SCALES, free)
+
+    def holding(self, index: int) -> Ranges:
+        """The same with one more number that stays."""
+        free = self.free.copy()
+        free[index] = False
+        return self._replace(free=free)
+
+    def packed(self, at: Candidate) -> np.ndarray:
+        z = np.array([*at[:6], np.log(at.bright), np.log(at.radius)]) / SCALES
+        return np.clip(z, self.lower, self.upper)
+
+
+class Place(NamedTuple):
+    """A candidate and its cost."""
+
+    at: Candidate
+    cost: float
+
+
+def _unpacked(z: np.ndarray) -> Candidate:
+    z = z * SCALES
+    return Candidate(*map(float, z[:6]), float(np.exp(z[6])), float(np.exp(z[7])))
+
+
+def climb(misfit: RayMisfit, start: Candidate, ranges: Ranges, steps: int) -> Place:
+    """The candidate that so many Levenberg-Marquardt ``steps`` lead to, at most, from ``start``.
+    What is known of x is kept from step to step."""
+    x = np.full((misfit.rays, len(misfit.radii)), start.dim)
+    z, damping = ranges.packed(start), FIRST_DAMPING
+    here = misfit(_unpacked(z), x, FIRST_SWEEPS)
+    small = 0
+    for _ in range(steps):
+        assert here.slope is not None and here.curvature is not None
+        slope, bend = here.slope * SCALES, here.curvature * np.outer(SCALES, SCALES)
+        # A number at its bound that would leave its range stays.
+        stuck = ((z <= ranges.lower) & (slope > 0)) | ((z >= ranges.upper) & (slope < 0))
+        move = ranges.free & ~stuck
+        some = np.ix_(move, move)
+        steep = bend[some] + damping * np.diag(np.diag(bend)[move] + LEAST_CURVATURE)
+        step = np.zeros(8)
+        step[move] = -np.linalg.solve(steep, slope[move])
+        step /= max(1.0, np.abs(step).max() / LONGEST_STEP)
+        there = np.clip(z + step, ranges.lower, ranges.upper)
+        y = x.copy()
+        next_ = misfit(_unpacked(there), y, SWEEPS)
+        if next_.cost < here.cost:
+            small = small + 1 if here.cost - next_.cost < SMALL_GAIN else 0
+            z, x, here, damping = there, y, next_, damping / 3
+            if small == 2:
+                break
+        else:
+            damping *= 4
+            if damping > MOST_DAMPING:
+                break
+    return Place(_unpacked(z), here.cost)
+
+
+def grid_lights(size: tuple[int, int], near: tuple[float, float] | None) -> np.ndarray:
+    """(n, 2) lights that are tried: over the picture and a margin, or about ``near``."""
+    if near is not None:
+        steps = np.linspace(-0.04, 0.04, 5)
+        return np.array([(near[0] + a, near[1] + b) for a in steps for b in steps])
+    h, w = size
+    across = np.linspace(-MARGIN, 1 + MARGIN, GRID)
+    rows = max(4, int(round(GRID * h / w)))
+    up = np.linspace(-MARGIN, 1 + MARGIN, rows)
+    return np.array([(a, b) for a in across for b in up])
+
+
+def first_places(image, known, lights, ranges: Ranges) -> list[Place]:
+    misfit = RayMisfit(image, known, *COARSE)
+    shown = image[known > 0]
+    dim = float(np.median(shown))
+    bright = 2 * max(float(shown.max()), 50.0)
+    own = float(
+        np.clip(1.4 * ranges.lower[4] / OWN[0], ranges.lower[4], ranges.upper[4]) * SCALES[4]
+    )
+    x = np.empty((misfit.rays, len(misfit.radii)))
+    out = []
+    for u, v in lights:
+        best = None
+        for kappa, rho, radius in GRID_NUMBERS:
+            at = Candidate(u, v, kappa, rho, own, dim, bright, radius)
+            x[:] = dim
+            value = misfit(at, x, 3, False).cost
+            if best is None or value < best.cost:
+                best = Place(at, value)
+        out.append(best)
+    return sorted(out, key=lambda place: place.cost)
+
+
+def apart(places: list[Place], count: int, aspect: float) -> list[Place]:
+    kept = []
+    for place in places:
+        gaps = [np.hypot(place.at.u - o.at.u, (place.at.v - o.at.v) * aspect) for o in kept]
+        if all(g > APART for g in gaps) and len(kept) < count:
+            kept.append(place)
+    return kept
+
+
+SHRINK = 0.88
+"""Factor of the radius from one climb to the next: two bins."""
+WORSE = 0.02
+"""Rise of the cost over the least one from which smaller radii are not tried."""
+
+
+def squeezed(misfit: RayMisfit, start: Candidate, ranges: Ranges, steps: int) -> Place:
+    """The candidate of least cost as the light's disc is made smaller and smaller, the numbers
+    following. A smaller disc than the true one explains nothing: there the cost has a wall, along
+    which no descent finds its way, and which a residual beyond it pushes a candidate off."""
+    ranges, smallest = ranges.holding(7), np.exp(LOWEST[7])
+    best = here = climb(misfit, start, ranges, steps)
+    rises = 0
+    while here.at.radius * SHRINK > smallest:
+        here = climb(misfit, here.at._replace(radius=here.at.radius * SHRINK), ranges, steps)
+        if here.cost < best.cost:
+            best, rises = here, 0
+        else:
+            rises += 1
+        if here.cost > best.cost + WORSE and rises > 1:
+            break
+    return best
+
+
+def search(image, known, texels, ranges: Ranges, near=None) -> list[Place]:
+    """Places, best first."""
+    h, w = image.shape
+    grid = first_places(image, known, grid_lights((h, w), near), ranges)
+    starts = apart(grid, STARTS, h / w)
+    coarse = RayMisfit(image, known, *COARSE)
+    ends = [squeezed(coarse, s.at._replace(radius=0.15), ranges, 6) for s in starts]
+    middle = RayMisfit(image, known)
+    ends = apart(sorted(ends, key=lambda p: p.cost), KEPT, h / w)
+    ends = [squeezed(middle, p.at._replace(radius=1.6 * p.at.radius), ranges, 6) for p in ends]
+    ends = sorted(ends, key=lambda p: p.cost)
+    fine = RayMisfit(*texels, *FINE)
+    last = [squeezed(fine, p.at._replace(radius=1.2 * p.at.radius), ranges, 8) for p in ends[:1]]
+    return [*last, *ends]
