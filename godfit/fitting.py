@@ -191,9 +191,6 @@ def _fit_bare(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     settings = request.settings
     images = {"target": _target_of(request)}
     shading = mitchell_template(settings.get("shader", "mitchell"), settings.get("samples"), 1)
-    start = dict(request.start or {})
-    if request.light_near is not None:
-        start = dict(zip(("light_x", "light_y"), request.light_near, strict=True)) | start
     blocked = None
     if request.occluder is not None:
         images["occluder"] = read_source(request.occluder, "none", "occluder")
@@ -201,7 +198,7 @@ def _fit_bare(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     asked = bare_fit.Settings(
         valid=request.valid, occluder=blocked, bright_pass=request.bright_pass,
         lights=request.lights, pass_scale=settings.get("pass_scale"), fix=request.held_at,
-        start=start, seed=request.seed,
+        start=request.start or {}, near=request.light_near, seed=request.seed,
     )  # fmt: skip
     found, notes = bare_fit.found_in(images["target"], shading, asked, request.report)
     return found, notes, images
