@@ -4,6 +4,7 @@ broadcasting between ranks, and with every annotation in godfit checked (jaxtypi
 import atexit
 import gc
 import importlib
+import json
 import math
 import os
 import shutil
@@ -87,6 +88,27 @@ install_import_hook("godfit", "beartype.beartype")
 importlib.import_module("godfit.runtime.malloc").TRIM_AFTER_SECONDS = math.inf
 # What a command prints must not depend on the machine's speed.
 importlib.import_module("godfit.commands.progress").QUIET_SECONDS = threading.TIMEOUT_MAX
+
+
+def validated(make):
+    """What makes the contents of fit.json; these are then held against their schema."""
+    from jsonschema import Draft202012Validator
+
+    schema = importlib.import_module("godfit.report.schema").schema("fit")
+    validator = Draft202012Validator(schema)
+
+    def made(*arguments):
+        record = make(*arguments)
+        validator.validate(json.loads(json.dumps(record)))
+        return record
+
+    return made
+
+
+# Every fit.json of the tests, those of clips as well.
+for module, name in (("result", "fit_record"), ("clip", "_record")):
+    report = importlib.import_module(f"godfit.report.{module}")
+    setattr(report, name, validated(getattr(report, name)))
 
 
 # Files that take long, longest first: in the order of their names, or of how many tests they hold,
