@@ -118,7 +118,8 @@ LONG = (
     "blind/test_screenshot", "flatland/test_fitting", "blind/test_turns", "test_synthetic_fits",
     "blind/test_photograph", "blind/test_brightness", "models/test_staged",
     "studies/test_profile_likelihood", "test_data_synthetic", "studies/test_compare",
-    "runtime/test_cache", "commands/test_command_line", "inference/test_indirect_inference",
+    "runtime/test_cache", "commands/test_command_line", "commands/test_batch",
+    "studies/batch/test_engine", "inference/test_indirect_inference",
     "flatland/test_gradients", "models/test_disc_kernel", "flatland/test_published",
     "test_fitting", "blind/test_clear_rays", "flatland/test_rendering",
 )  # fmt: skip
@@ -133,7 +134,8 @@ SLOW = (
     "models/test_staged.py", "studies/test_clip.py", "studies/test_compare.py",
     "studies/test_select.py", "studies/test_profile_likelihood.py",
     "inference/test_indirect_inference.py", "inference/test_diagnostics.py",
-    "commands/test_command_line.py", "models/test_disc_kernel.py",
+    "commands/test_command_line.py", "commands/test_batch.py", "studies/batch/test_engine.py",
+    "models/test_disc_kernel.py",
 )  # fmt: skip
 
 

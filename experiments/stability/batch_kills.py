@@ -84,7 +84,7 @@ def disturbed(
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--moments", type=int, default=10)
     parser.add_argument("--seconds", type=float, default=8.0, help="latest moment after a start")
     parser.add_argument("--frames", type=int, default=60)
