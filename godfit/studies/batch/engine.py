@@ -46,6 +46,8 @@ SETTINGS = {
 """Settings of dask for the workers that are started here."""
 CONNECT_SECONDS = 30.0
 """Time to reach a scheduler, in seconds."""
+ANY_PORT = "127.0.0.1:0"
+"""Address of dask's page, which cannot be left out: a free port that this machine alone reaches."""
 LOGGERS = ("distributed", "tornado", "asyncio")
 """Loggers of dask and of what it is made of."""
 QUIET_TRACKER = "ignore::UserWarning:multiprocessing.resource_tracker"
@@ -137,7 +139,6 @@ def _connected(count: int, scheduler: str | None) -> Iterator[Any]:
         from godfit.studies.batch.plugin import WorkerSetup
     except ImportError as error:
         raise InputError(f"--scheduler: {WITHOUT_DASK}") from error
-    own: dict[str, Any] = {"memory_limit": _memory_limit(count), "dashboard_address": None}
     environment = {"JAX_PLATFORMS": os.environ.get("JAX_PLATFORMS", "cpu")}
     settings = {**SETTINGS, "distributed.nanny.pre-spawn-environ": environment}
     with contextlib.ExitStack() as stack:
@@ -150,7 +151,8 @@ def _connected(count: int, scheduler: str | None) -> Iterator[Any]:
             with _undisturbed():
                 cluster = LocalCluster(
                     n_workers=count, threads_per_worker=1, processes=True, host="127.0.0.1",
-                    silence_logs=logging.CRITICAL, **own,
+                    memory_limit=_memory_limit(count), dashboard_address=ANY_PORT,
+                    silence_logs=logging.CRITICAL,
                 )  # fmt: skip
                 stack.callback(_ended, cluster.close)
                 client = Client(cluster, set_as_default=False)
