@@ -4,6 +4,7 @@ broadcasting between ranks, and with every annotation in godfit checked (jaxtypi
 import atexit
 import gc
 import importlib
+import json
 import math
 import os
 import shutil
@@ -87,13 +88,35 @@ importlib.import_module("godfit.runtime.malloc").TRIM_AFTER_SECONDS = math.inf
 importlib.import_module("godfit.commands.progress").QUIET_SECONDS = threading.TIMEOUT_MAX
 
 
+def validated(make):
+    """What makes the contents of fit.json; these are then held against their schema."""
+    from jsonschema import Draft202012Validator
+
+    schema = importlib.import_module("godfit.report.schema").schema("fit")
+    validator = Draft202012Validator(schema)
+
+    def made(*arguments):
+        record = make(*arguments)
+        validator.validate(json.loads(json.dumps(record)))
+        return record
+
+    return made
+
+
+# Every fit.json of the tests, those of clips as well.
+for module, name in (("result", "fit_record"), ("clip", "_record")):
+    report = importlib.import_module(f"godfit.report.{module}")
+    setattr(report, name, validated(getattr(report, name)))
+
+
 # Files that take long, longest first: in the order of their names, or of how many tests they hold,
 # one of these comes last, and half of the cores wait for it. The first two compile different
 # functions: what both need at once is compiled twice.
 LONG = (
     "flatland/test_fitting", "test_synthetic_fits", "models/test_staged",
     "studies/test_profile_likelihood", "test_data_synthetic", "studies/test_compare",
-    "runtime/test_cache", "commands/test_command_line", "inference/test_indirect_inference",
+    "runtime/test_cache", "commands/test_command_line", "commands/test_batch",
+    "studies/batch/test_engine", "inference/test_indirect_inference",
     "flatland/test_gradients", "models/test_disc_kernel", "flatland/test_published",
     "test_fitting", "flatland/test_rendering",
 )  # fmt: skip
@@ -108,7 +131,8 @@ SLOW = (
     "models/test_staged.py", "studies/test_clip.py", "studies/test_compare.py",
     "studies/test_select.py", "studies/test_profile_likelihood.py",
     "inference/test_indirect_inference.py", "inference/test_diagnostics.py",
-    "commands/test_command_line.py", "models/test_disc_kernel.py",
+    "commands/test_command_line.py", "commands/test_batch.py", "studies/batch/test_engine.py",
+    "models/test_disc_kernel.py",
 )  # fmt: skip
 
 

@@ -1,12 +1,13 @@
 """Does a batch that is killed at random moments end with the table of one that was not?
 
-    python experiments/stability/batch_kills.py [--moments N] [--frames N] [--real] [--seed N]
+    python experiments/stability/batch_kills.py [--moments N] [--seconds S] [--frames N]
+                                                    [--real] [--seed N]
 
 At each moment one of three is killed by SIGKILL: the client, a worker, or the client with all its
 workers. A client that was killed is started again with the same command, until a run ends by
 itself. Then every frame must be in the table once, and the table must be that of an undisturbed
-run, byte for byte. Work that depends on the frame's bytes stands for the fits, .2 s each;
-``--real`` fits. A line for each moment, and the exit status 1 if a table differs.
+run, byte for byte. Work that depends on the frame's bytes stands for the fits, .2 s each; with
+``--real`` frames are fitted. A line for each moment; the exit status is 1 if a table differs.
 """
 
 from __future__ import annotations
@@ -83,8 +84,9 @@ def disturbed(
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--moments", type=int, default=10)
+    parser.add_argument("--seconds", type=float, default=8.0, help="latest moment after a start")
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--real", action="store_true")
@@ -102,7 +104,7 @@ def main() -> int:
             env=environment, cwd=ROOT, stdout=subprocess.DEVNULL, check=False,
         )  # fmt: skip
         moments = [
-            (kind, rng.uniform(0.3, 8.0))
+            (kind, rng.uniform(0.3, given.seconds))
             for kind in rng.choices(("client", "worker", "all"), k=given.moments)
         ]
         killed = disturbed(

@@ -44,8 +44,12 @@ SETTINGS = {
     "distributed.worker.profile.enabled": False,
 }
 """Settings of dask for the workers that are started here."""
+START_TRIES = 3
+"""Times that the workers are started, until all are there."""
 CONNECT_SECONDS = 30.0
 """Time to reach a scheduler, in seconds."""
+ANY_PORT = "127.0.0.1:0"
+"""Address of dask's page, which cannot be left out: a free port that this machine alone reaches."""
 LOGGERS = ("distributed", "tornado", "asyncio")
 """Loggers of dask and of what it is made of."""
 QUIET_TRACKER = "ignore::UserWarning:multiprocessing.resource_tracker"
@@ -137,7 +141,6 @@ def _connected(count: int, scheduler: str | None) -> Iterator[Any]:
         from godfit.studies.batch.plugin import WorkerSetup
     except ImportError as error:
         raise InputError(f"--scheduler: {WITHOUT_DASK}") from error
-    own: dict[str, Any] = {"memory_limit": _memory_limit(count), "dashboard_address": None}
     environment = {"JAX_PLATFORMS": os.environ.get("JAX_PLATFORMS", "cpu")}
     settings = {**SETTINGS, "distributed.nanny.pre-spawn-environ": environment}
     with contextlib.ExitStack() as stack:
@@ -148,10 +151,7 @@ def _connected(count: int, scheduler: str | None) -> Iterator[Any]:
             stack.enter_context(dask.config.set(settings))
             stack.enter_context(_importable())
             with _undisturbed():
-                cluster = LocalCluster(
-                    n_workers=count, threads_per_worker=1, processes=True, host="127.0.0.1",
-                    silence_logs=logging.CRITICAL, **own,
-                )  # fmt: skip
+                cluster = _cluster(count, LocalCluster)
                 stack.callback(_ended, cluster.close)
                 client = Client(cluster, set_as_default=False)
         stack.callback(_ended, client.close)
@@ -180,6 +180,25 @@ def _ended(end: Callable[..., Any], *arguments: Any) -> None:
     """Call what ends a part of dask. What it could not end in time ends with this process."""
     with contextlib.suppress(Exception):
         end(*arguments)
+
+
+def _cluster(count: int, start: Callable[..., Any]) -> Any:
+    """``count`` workers of this machine. A process that is killed while it starts is no reason to
+    end the run: all are started again. Raises InputError where that fails each time."""
+    for left in reversed(range(START_TRIES)):
+        try:
+            return start(
+                n_workers=count, threads_per_worker=1, processes=True, host="127.0.0.1",
+                memory_limit=_memory_limit(count), dashboard_address=ANY_PORT,
+                silence_logs=logging.CRITICAL,
+            )  # fmt: skip
+        except RuntimeError as error:
+            if not left:
+                raise InputError(
+                    f"--workers: expected {count} processes to start, got '{error}'; what was "
+                    "fitted is kept: give the same command again, or fewer --workers"
+                ) from error
+    raise AssertionError
 
 
 def _client_of(scheduler: str) -> Any:

@@ -27,6 +27,8 @@ class WorkerSetup(WorkerPlugin):
             # A worker that a program runs within itself is not in the main thread.
             with contextlib.suppress(ValueError):
                 signal.signal(signal.SIGINT, signal.SIG_IGN)
+                # A queue of jobs sends it to all processes; the client alone prints a line.
+                signal.signal(signal.SIGTERM, signal.SIG_DFL)
         self.core = OneCore()
 
     def teardown(self, worker: Any) -> None:

@@ -184,3 +184,22 @@ def test_no_scheduler(frames, monkeypatch, place):
     monkeypatch.setattr(engine, "CONNECT_SECONDS", 0.5)
     with pytest.raises(InputError, match="--scheduler: expected"):
         next(godfit.batch("f_*.png", scheduler=place))
+
+
+def test_workers_that_die_while_they_start_are_started_again():
+    tries = []
+
+    def start(**_):
+        tries.append(1)
+        if len(tries) < engine.START_TRIES:
+            raise RuntimeError("Nanny failed to start.")
+        return "cluster"
+
+    assert engine._cluster(2, start) == "cluster"
+    assert len(tries) == engine.START_TRIES
+
+    def fail(**_):
+        raise RuntimeError("Nanny failed to start.")
+
+    with pytest.raises(InputError, match="expected 2 processes to start"):
+        engine._cluster(2, fail)
