@@ -15,7 +15,7 @@ import numpy as np
 from godfit.blind import hypotheses
 from godfit.blind.certainty import RAYS_COST, SAME_PLACE, SURE_COST, Certainty, certainty
 from godfit.blind.choice import ordered
-from godfit.blind.exact import Exact, Posed, sector_covariance, solved_exactly
+from godfit.blind.exact import Exact, Given, Posed, sector_covariance, solved_exactly
 from godfit.blind.hypotheses import Hypothesis, ground_colour
 from godfit.blind.panels import panels
 from godfit.blind.reduced import Reduced, additive, clipped_pixels, reduced
@@ -38,7 +38,7 @@ from godfit.models.coordinates import (
 )
 from godfit.models.mitchell import Mitchell
 from godfit.runtime.blas import one_thread
-from godfit.runtime.interrupts import requested
+from godfit.runtime.interrupts import kept_for_later, requested
 
 LEAST_PIXELS = 500
 """Pixels without which nothing can be estimated."""
@@ -76,6 +76,7 @@ HYPOTHESIS = {
     "colour": "the mask is a disc on a veil, open where the picture has its ground's colour",
     "darkness": "the mask is a disc on a veil, open where the picture is not dark",
 }
+CANONICAL = "under any shader, whose --shader only names them: "
 BOX = "{}: numbers of this shader are not estimated without a mask; the light alone is"
 PANEL = "a panel at {},{},{},{} is taken to lie on top and is left out"
 
@@ -111,53 +112,71 @@ class Settings(NamedTuple):
 def found_in(
     target: Image, shading: Mitchell, settings: Settings, say: Callable[[str], None]
 ) -> tuple[Found, tuple[str, ...]]:
-    """What was found, and notes. Raises InputError for pictures without enough pixels."""
+    """What was found, and notes. Raises InputError for pictures without enough pixels.
+
+    In a command the first interrupt ends the search with the best answer so far.
+    """
+    _check(target, settings.valid)
+    notes: tuple[str, ...] = ()
+    box = bool(shading.convention.box)
+    if box:
+        notes += (BOX.format(shading.shader),)
+        shading = Mitchell(1.0, 0.9, 0.5, 0.5, [[0.5, 0.5]], "mitchell", None)
+    say("background, objects, panels")
+    picture, lying = _picture(target, settings.valid, shading)
+    notes += tuple(PANEL.format(*place) for place in lying)
+    copy = reduced(picture.levels, picture.valid, shading.convention)
+    occluded = np.zeros(copy.valid.shape, bool)
+    if settings.occluder is not None:
+        occluded = shrink(settings.occluder.astype(np.float32), occluded.shape) > 0.5
+    with kept_for_later():
+        candidates = ordered(_searched(_tried(copy, occluded, settings), settings, say))
+        best = candidates[0]
+        say("other pixels, sector by sector")
+        sure = certainty(best, settings.place, settings.seed)
+        say("exact numbers")
+        given = Given(settings.fix, settings.start, settings.pass_scale)
+        posed = Posed(copy, picture, shading, given)
+        exact = solved_exactly(best, posed, settings.seed, requested)
+        doubts = [*_doubts(candidates, sure), *_exact_doubts(exact, best)]
+        if settings.lights > 1:
+            doubts.append(SEVERAL.format(settings.lights))
+        if requested():
+            doubts.insert(0, STOPPED)
+    found = _concluded(exact, sure, doubts, box).replaced(pass_scale=settings.pass_scale)
+    return found, (*notes, HYPOTHESIS[best.hypothesis.name], *_canonical(found))
+
+
+def _check(target: Image, valid: np.ndarray | None) -> None:
+    """Raise InputError for a picture that is too small, or ignored."""
     h, w = target.values.shape[:2]
     if min(h, w) < LEAST_SIZE:
         raise InputError(
             f"target: expected at least {LEAST_SIZE}x{LEAST_SIZE} pixels without a mask, "
             f"got {w}x{h}"
         )
-    if settings.valid is not None and np.count_nonzero(settings.valid) < LEAST_PIXELS:
+    if valid is not None and np.count_nonzero(valid) < LEAST_PIXELS:
         raise InputError(
             f"ignore: expected some open background, at least {LEAST_PIXELS} pixels, got "
-            f"{np.count_nonzero(settings.valid)}; ignore less"
+            f"{np.count_nonzero(valid)}; ignore less"
         )
-    notes: tuple[str, ...] = ()
-    if shading.convention.box:
-        notes += (BOX.format(shading.shader),)
-        shading = Mitchell(1.0, 0.9, 0.5, 0.5, [[0.5, 0.5]], "mitchell", None)
-        box = True
-    else:
-        box = False
-    say("background, objects, panels")
-    picture = Picture.make(target, np.ones((h, w), np.float32), None, settings.valid)
+
+
+def _picture(
+    target: Image, valid: np.ndarray | None, shading: Mitchell
+) -> tuple[Picture, list[tuple[int, int, int, int]]]:
+    """The picture without the panels that lie on it, and these, as (x, y, width, height)."""
+    size = target.values.shape[:2]
+    picture = Picture.make(target, np.ones(size, np.float32), None, valid)
     picture = dataclasses.replace(picture, foreign=FOREIGN)
     if shading.convention.blend == "screen":
         # A screen blend happens in linear light, and the canvas is encoded after it.
         picture = dataclasses.replace(picture, transfer="srgb")
     lying = _panels(picture, shading)
-    valid = picture.valid.copy()
+    kept = picture.valid.copy()
     for x, y, wide, tall in lying:
-        valid[max(y - 2, 0) : y + tall + 2, max(x - 2, 0) : x + wide + 2] = False
-    notes += tuple(PANEL.format(*place) for place in lying)
-    picture = dataclasses.replace(picture, valid=valid)
-    copy = reduced(picture.levels, valid, shading.convention)
-    occluded = np.zeros(copy.valid.shape, bool)
-    if settings.occluder is not None:
-        occluded = shrink(settings.occluder.astype(np.float32), occluded.shape) > 0.5
-    candidates = ordered(_searched(_tried(copy, occluded, settings), settings, say))
-    best = candidates[0]
-    say("other pixels, sector by sector")
-    sure = certainty(best, settings.place, settings.seed)
-    doubts = _doubts(candidates, sure)
-    if settings.lights > 1:
-        doubts.append(SEVERAL.format(settings.lights))
-    say("exact numbers")
-    posed = Posed(copy, picture, shading, settings.fix, settings.start)
-    exact = solved_exactly(best, posed, settings.seed, requested)
-    notes += (HYPOTHESIS[best.hypothesis.name],)
-    return _concluded(exact, best, sure, [*doubts, *_exact_doubts(exact, best)], box), notes
+        kept[max(y - 2, 0) : y + tall + 2, max(x - 2, 0) : x + wide + 2] = False
+    return dataclasses.replace(picture, valid=kept), lying
 
 
 def _panels(picture: Picture, shading: Mitchell) -> list[tuple[int, int, int, int]]:
@@ -233,9 +252,7 @@ def distance(one: tuple[float, float], other: tuple[float, float]) -> float:
     return max(abs(a - b) for a, b in zip(one, other, strict=True))
 
 
-def _concluded(
-    exact: Exact, best: Candidate, sure: Certainty, doubts: list[str], box: bool
-) -> Found:
+def _concluded(exact: Exact, sure: Certainty, doubts: list[str], box: bool) -> Found:
     """The answer with its errors, and without a number for what is not determined."""
     problem, settled = exact.problem, exact.settled
     z, free, held = settled.coordinates, problem.free.copy(), problem.held.copy()
@@ -256,8 +273,6 @@ def _concluded(
             opened.append((index, []))
             free[index], held[index] = False, z[index]
             scatter[index] = scatter[:, index] = 0.0
-    if requested():
-        doubts = [STOPPED, *doubts]
     objection = doubts[0] + NEXT if doubts else ""
     remarks = tuple(Remark(doubt, "unsure") for doubt in doubts[1:])
     return Found(
@@ -277,3 +292,21 @@ def _lost(z: np.ndarray, scatter: np.ndarray, exact: bool, box: bool) -> list[in
     if error[KAPPA] > MOST_KAPPA_ERROR * max(z[KAPPA], 1.0):
         lost.append(KAPPA)
     return lost
+
+
+def _canonical(found: Found) -> tuple[str, ...]:
+    """What is determined in numbers that no shader names, as a note; none where nothing is."""
+    z, free, spread = found.settled.coordinates, found.problem.free, found.scatter
+    assert spread is not None
+    parts = []
+    if free[KAPPA] and free[DENSITY]:
+        slope = np.array([z[DENSITY], z[KAPPA]])
+        pair = [KAPPA, DENSITY]
+        error = np.sqrt(slope @ spread[np.ix_(pair, pair)] @ slope)
+        parts.append(f"attenuation along a ray {z[KAPPA] * z[DENSITY]:.3g} +- {error:.2g}")
+    if free[DENSITY]:
+        parts.append(f"density {z[DENSITY]:.3g} +- {np.sqrt(spread[DENSITY, DENSITY]):.2g}")
+    if free[GAIN] and free[DENSITY]:
+        error = z[DENSITY] * np.sqrt(spread[GAIN, GAIN])
+        parts.append(f"gain {z[GAIN] * z[DENSITY]:.3g} +- {error:.2g}")
+    return (CANONICAL + ", ".join(parts),) if parts else ()

@@ -28,6 +28,7 @@ from godfit.inference.problem import Problem, given_and_held
 from godfit.inference.settle import Settled, settle
 from godfit.inference.solver import Tangent, solve, tangent_at
 from godfit.io.image import LEVELS
+from godfit.io.sources import shrink_mask
 from godfit.models.background import TERM_COUNTS
 from godfit.models.coordinates import (
     DENSITY,
@@ -63,15 +64,22 @@ ROUNDS = 8
 """Rounds of the likelihood, at most."""
 
 
+class Given(NamedTuple):
+    """What the user gives: values that are held (None: at the start or the default) and ones that
+    are started from, and the light pass's size against the picture's, ``pass_scale``."""
+
+    fix: Mapping[str, float | None]
+    start: Mapping[str, float]
+    pass_scale: float | None
+
+
 class Posed(NamedTuple):
-    """A picture and its ``copy``, the ``shading`` at no particular point, and what the user gives:
-    values that are held (None: at the start or default) and ones that are started from."""
+    """A picture and its ``copy``, the ``shading`` at no particular point, and what is ``given``."""
 
     copy: Reduced
     picture: Picture
     shading: Mitchell
-    fix: Mapping[str, float | None]
-    start: Mapping[str, float]
+    given: Given
 
 
 class Exact(NamedTuple):
@@ -116,7 +124,8 @@ def solved_exactly(
         known = picture.valid
     texture = drawn(candidate.hypothesis, FINE_PAIRS, seed).spread * LEVELS
     calm = candidate.hypothesis.name != "bright" and texture < CALM
-    picture = dataclasses.replace(picture, mask=open_, valid=known)
+    mask = shrink_mask(open_, posed.given.pass_scale or 1.0)
+    picture = dataclasses.replace(picture, mask=mask, valid=known)
     degree = 0 if calm else 2
     model = DiscLight(
         shading,
@@ -144,7 +153,7 @@ def _start(
     candidate: Candidate, model: DiscLight, posed: Posed, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """(p,) the coordinates that the search found, and (p,) those that are held, NaN where free."""
-    given, held = given_and_held(model, posed.fix, posed.start)
+    given, held = given_and_held(model, posed.given.fix, posed.given.start)
     hypothesis = candidate.hypothesis
     h, w = hypothesis.values.shape
     pairs = drawn(hypothesis, FINE_PAIRS, seed)
