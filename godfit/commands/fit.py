@@ -83,8 +83,8 @@ def fit(
 
     Without a mask and a scene, TARGET is taken for a finished picture. The light is searched under
     several hypotheses of the mask, and the best one is reported. With --bright-pass only that one
-    is tried under which the light is bright in the picture, as in a photograph. Several TARGETs, or a video, are frames
-    of one clip, with one shader for all frames and a light for each.
+    is tried under which the light is bright in the picture, as in a photograph. Several TARGETs, or
+    a video, are frames of one clip, with one shader for all frames and a light for each.
 
     With --scene the mask is drawn from meshes. --free light.position fits that position as well.
     Other names are light.radius, camera.position, object[0].position and object[0].rotation. With
