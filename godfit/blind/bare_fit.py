@@ -28,6 +28,7 @@ from godfit.io.filters import shrink
 from godfit.io.image import LEVELS, Image
 from godfit.models.coordinates import (
     DENSITY,
+    EDGE,
     EXPOSURE,
     GAIN,
     KAPPA,
@@ -39,6 +40,7 @@ from godfit.models.coordinates import (
 from godfit.models.mitchell import Mitchell
 from godfit.runtime.blas import one_thread
 from godfit.runtime.interrupts import kept_for_later, requested
+from godfit.runtime.parallel import parallel_map
 
 LEAST_PIXELS = 500
 """Pixels without which nothing can be estimated."""
@@ -54,6 +56,8 @@ EXPLAINED_NOISE = 4.0
 """Noise in levels up to which single pixels are explained: more is structure."""
 SAME_AS_SEARCH = 0.01
 """Distance of the exact light from that of the search, up to which the two agree."""
+CLIPPED_SHARE = 0.5
+"""Share of a disc's pixels that must not be clipped for its gain to have a number."""
 RIVAL_COST = 0.5
 """Share of the best hypothesis's explanation from which another one explains as well."""
 RIVAL_PLACE = 0.02
@@ -143,7 +147,7 @@ def found_in(
             doubts.append(SEVERAL.format(settings.lights))
         if requested():
             doubts.insert(0, STOPPED)
-    found = _concluded(exact, sure, doubts, box).replaced(pass_scale=settings.pass_scale)
+    found = _concluded(exact, best, sure, doubts, box).replaced(pass_scale=settings.pass_scale)
     return found, (*notes, HYPOTHESIS[best.hypothesis.name], *_canonical(found))
 
 
@@ -204,15 +208,9 @@ def _tried(copy: Reduced, occluded: np.ndarray, settings: Settings) -> list[Hypo
 def _searched(
     tried: list[Hypothesis], settings: Settings, say: Callable[[str], None]
 ) -> list[Candidate]:
-    """The best light under each hypothesis, or under those that were searched before an
-    interrupt."""
-    found: list[Candidate] = []
-    for hypothesis in tried:
-        if found and requested():
-            break
-        say(f"lights, under the hypothesis {hypothesis.name}")
-        found.append(searched(hypothesis, settings.place, settings.seed))
-    return found
+    """The best light under each hypothesis, a core each; the best so far after an interrupt."""
+    say("lights under each hypothesis: " + ", ".join(h.name for h in tried))
+    return parallel_map(lambda h: searched(h, settings.place, settings.seed), tried)
 
 
 def _doubts(candidates: list[Candidate], sure: Certainty) -> list[str]:
@@ -252,7 +250,9 @@ def distance(one: tuple[float, float], other: tuple[float, float]) -> float:
     return max(abs(a - b) for a, b in zip(one, other, strict=True))
 
 
-def _concluded(exact: Exact, sure: Certainty, doubts: list[str], box: bool) -> Found:
+def _concluded(
+    exact: Exact, best: Candidate, sure: Certainty, doubts: list[str], box: bool
+) -> Found:
     """The answer with its errors, and without a number for what is not determined."""
     problem, settled = exact.problem, exact.settled
     z, free, held = settled.coordinates, problem.free.copy(), problem.held.copy()
@@ -263,11 +263,14 @@ def _concluded(exact: Exact, sure: Certainty, doubts: list[str], box: bool) -> F
     at = evidence(settled, exact.tangent, exact.seen).within(problem.model.ranges(z))
     if exact.exact:
         scatter = at.covariance(free) + sector_covariance(exact)
+        # Two answers that do not share their assumptions: the error is at least their distance.
+        found = np.array([*best.place, best.point[2], best.density])
+        scatter[known, known] += (z[known] - found) ** 2
     scatter[~free] = scatter[:, ~free] = 0.0
     opened: list[tuple[int, list[int]]] = []
     if free[GAIN] and not np.isnan(held[EXPOSURE]):
         opened.append((EXPOSURE, [GAIN]))
-    lost = _lost(z, scatter, exact.exact, box)
+    lost = _lost(exact, scatter, box)
     for index in lost:
         if free[index]:
             opened.append((index, []))
@@ -281,17 +284,30 @@ def _concluded(exact: Exact, sure: Certainty, doubts: list[str], box: bool) -> F
     )  # fmt: skip
 
 
-def _lost(z: np.ndarray, scatter: np.ndarray, exact: bool, box: bool) -> list[int]:
+def _lost(exact: Exact, scatter: np.ndarray, box: bool) -> list[int]:
     """Coordinates that the picture does not determine well enough to be told as numbers."""
-    if box or not exact:
-        return [KAPPA, DENSITY, GAIN, VEIL, RADIUS]
-    error = np.sqrt(np.diag(scatter))
-    lost = []
+    if box or not exact.exact:
+        return [KAPPA, DENSITY, GAIN, RADIUS, EDGE, VEIL]
+    z, error = exact.settled.coordinates, np.sqrt(np.diag(scatter))
+    # The gain of a disc that is clipped trades with its radius, in a valley that is no straight
+    # line: its error says little.
+    lost = [GAIN, RADIUS, EDGE, VEIL] if _clipped_disc(exact) else []
     if error[DENSITY] > MOST_DENSITY_ERROR:
         lost.append(DENSITY)
     if error[KAPPA] > MOST_KAPPA_ERROR * max(z[KAPPA], 1.0):
         lost.append(KAPPA)
     return lost
+
+
+def _clipped_disc(exact: Exact) -> bool:
+    """Whether most of the disc's pixels are clipped, or off the picture."""
+    picture, z = exact.problem.picture, exact.settled.coordinates
+    h, w = picture.size
+    row, column = np.mgrid[:h, :w]
+    x, y = column + 0.5 - z[LIGHT_X] * w, row + 0.5 - (1 - z[LIGHT_Y]) * h
+    inside = x * x + y * y < (z[RADIUS] * h) ** 2
+    open_ = np.count_nonzero(inside & ~picture.clipped)
+    return open_ < CLIPPED_SHARE * max(1.0, np.pi * (z[RADIUS] * h) ** 2)
 
 
 def _canonical(found: Found) -> tuple[str, ...]:

@@ -56,12 +56,15 @@ BLOCK = (8, 32)
 less."""
 SIGMAS = (8.0, 3.0, 1.0)
 """Noise in levels allowed for, lowered solve by solve."""
+RADII = (1.0, 0.8)
+"""Shares of the search's radius that the disc starts with: a clipped disc is smaller than what is
+bright, and radius and gain trade."""
 CALM = 3.0
 """Texture in levels up to which the likelihood of single pixels knows more than differences."""
 MOST_SECTORS = 24
 """Sectors about the light whose pixels err together, at least: an object lies in a few of them."""
-ROUNDS = 8
-"""Rounds of the likelihood, at most."""
+ROUNDS = 25
+"""Rounds of the likelihood, at most: the valley in which attenuation and gain trade is long."""
 
 
 class Given(NamedTuple):
@@ -138,12 +141,22 @@ def solved_exactly(
     linear[[GAIN, VEIL]] = free[[GAIN, VEIL]]
     seen = picture.observe(blocks(picture, seed))
     problem = Problem(model, picture, free, held, seed)
-    point = solve(start, problem.replaced(free=linear), seen, max(SIGMAS[0], texture)).coordinates
+    first = problem.replaced(free=linear)
     if calm and not stopped():
-        for sigma in SIGMAS:
-            point = solve(point, problem, seen, sigma).coordinates
-        settled, tangent = settle(point, problem, seen, rounds=ROUNDS)
+        ends = []
+        for share in RADII:
+            z = start.copy()
+            if free[RADIUS]:
+                z[RADIUS] *= share
+            z = solve(z, first, seen, SIGMAS[0]).coordinates
+            for sigma in SIGMAS:
+                point = solve(z, problem, seen, sigma)
+                z = point.coordinates
+            ends.append(point)
+        best = min(ends, key=lambda point: point.cost)
+        settled, tangent = settle(best.coordinates, problem, seen, rounds=ROUNDS)
         return Exact(problem, seen, settled, tangent, True)
+    point = solve(start, first, seen, max(SIGMAS[0], texture)).coordinates
     tangent = tangent_at(point, problem, seen)
     sigma, likelihood = best_sigma(tangent.prediction, seen)
     return Exact(problem, seen, Settled(point, sigma, likelihood, True), tangent, False)
