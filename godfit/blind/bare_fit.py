@@ -147,7 +147,9 @@ def found_in(
             doubts.append(SEVERAL.format(settings.lights))
         if requested():
             doubts.insert(0, STOPPED)
-    found = _concluded(exact, best, sure, doubts, box).replaced(pass_scale=settings.pass_scale)
+    found = _concluded(exact, candidates, sure, doubts, box).replaced(
+        pass_scale=settings.pass_scale
+    )
     return found, (*notes, HYPOTHESIS[best.hypothesis.name], *_canonical(found))
 
 
@@ -223,13 +225,18 @@ def _doubts(candidates: list[Candidate], sure: Certainty) -> list[str]:
         doubts.append(UNSURE.format(cost))
     if sure.apart > SAME_PLACE:
         doubts.append(DISAGREE.format(100 * sure.apart))
-    for other in candidates[1:]:
+    for other in _rivals(candidates):
         apart = distance(best.place, other.place)
-        if other.cost < RIVAL_COST * cost and apart > RIVAL_PLACE:
+        if apart > RIVAL_PLACE:
             doubts.append(RIVALS.format(100 * apart))
     if sure.at_end:
         doubts.append(AT_END)
     return doubts
+
+
+def _rivals(candidates: list[Candidate]) -> list[Candidate]:
+    """Hypotheses beside the chosen one that explain the picture as well."""
+    return [c for c in candidates[1:] if c.cost < RIVAL_COST * candidates[0].cost]
 
 
 def _exact_doubts(exact: Exact, best: Candidate) -> list[str]:
@@ -251,15 +258,18 @@ def distance(one: tuple[float, float], other: tuple[float, float]) -> float:
 
 
 def _concluded(
-    exact: Exact, best: Candidate, sure: Certainty, doubts: list[str], box: bool
+    exact: Exact, candidates: list[Candidate], sure: Certainty, doubts: list[str], box: bool
 ) -> Found:
     """The answer with its errors, and without a number for what is not determined."""
     problem, settled = exact.problem, exact.settled
     z, free, held = settled.coordinates, problem.free.copy(), problem.held.copy()
+    best = candidates[0]
     known = [LIGHT_X, LIGHT_Y, KAPPA, DENSITY]
     # What the search on the copy says holds where single pixels say nothing, or promise more.
     scatter = np.zeros((len(z), len(z)))
     scatter[np.ix_(known, known)] = sure.covariance
+    for other in _rivals(candidates):
+        scatter[known[:2], known[:2]] += np.subtract(other.place, best.place) ** 2
     at = evidence(settled, exact.tangent, exact.seen).within(problem.model.ranges(z))
     if exact.exact:
         scatter = at.covariance(free) + sector_covariance(exact)
