@@ -56,6 +56,10 @@ EXPLAINED_NOISE = 4.0
 """Noise in levels up to which single pixels are explained: more is structure."""
 SAME_AS_SEARCH = 0.01
 """Distance of the exact light from that of the search, up to which the two agree."""
+SHARED_ERROR = (1.0, 1.0, 0.25, 0.25)
+"""Share of the distance between the exact answer and the search's that counts as an error: of light
+u and v, attenuation and density. The copy has no own pixel and nearest texels, which bias the last
+two: on real frames they are four times as far off there."""
 CLIPPED_SHARE = 0.5
 """Share of a disc's pixels that must not be clipped for its gain to have a number."""
 RIVAL_COST = 0.5
@@ -275,7 +279,7 @@ def _concluded(
         scatter = at.covariance(free) + sector_covariance(exact)
         # Two answers that do not share their assumptions: the error is at least their distance.
         found = np.array([*best.place, best.point[2], best.density])
-        scatter[known, known] += (z[known] - found) ** 2
+        scatter[known, known] += (np.array(SHARED_ERROR) * (z[known] - found)) ** 2
     scatter[~free] = scatter[:, ~free] = 0.0
     opened: list[tuple[int, list[int]]] = []
     if free[GAIN] and not np.isnan(held[EXPOSURE]):
