@@ -54,6 +54,8 @@ MOST_KAPPA_ERROR = 0.3
 """The same of the attenuation, as a share of it."""
 EXPLAINED_NOISE = 4.0
 """Noise in levels up to which single pixels are explained: more is structure."""
+ROUNDING_NOISE = 0.5
+"""Noise in levels up to which single pixels are explained as well as rounding allows."""
 SAME_AS_SEARCH = 0.01
 """Distance of the exact light from that of the search, up to which the two agree."""
 SHARED_ERROR = (1.0, 1.0, 0.25, 0.25)
@@ -146,6 +148,9 @@ def found_in(
         given = Given(settings.fix, settings.start, settings.pass_scale)
         posed = Posed(copy, picture, shading, given)
         exact = solved_exactly(best, posed, settings.seed, requested)
+        if exact.exact and exact.settled.sigma < ROUNDING_NOISE:
+            # Every pixel is explained: what other hypotheses make of differences is no doubt.
+            candidates = [best]
         doubts = [*_doubts(candidates, sure), *_exact_doubts(exact, best)]
         if settings.lights > 1:
             doubts.append(SEVERAL.format(settings.lights))
@@ -314,13 +319,14 @@ def _lost(exact: Exact, scatter: np.ndarray, box: bool) -> list[int]:
 
 
 def _clipped_disc(exact: Exact) -> bool:
-    """Whether most of the disc's pixels are clipped, or off the picture."""
+    """Whether most of the disc's pixels are clipped, behind objects, or off the picture."""
     picture, z = exact.problem.picture, exact.settled.coordinates
     h, w = picture.size
     row, column = np.mgrid[:h, :w]
     x, y = column + 0.5 - z[LIGHT_X] * w, row + 0.5 - (1 - z[LIGHT_Y]) * h
     inside = x * x + y * y < (z[RADIUS] * h) ** 2
-    open_ = np.count_nonzero(inside & ~picture.clipped)
+    in_sight = picture.valid & ~picture.clipped
+    open_ = np.count_nonzero(inside & in_sight)
     return open_ < CLIPPED_SHARE * max(1.0, np.pi * (z[RADIUS] * h) ** 2)
 
 
