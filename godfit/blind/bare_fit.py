@@ -15,7 +15,7 @@ import numpy as np
 from godfit.blind import hypotheses
 from godfit.blind.certainty import RAYS_COST, SAME_PLACE, SURE_COST, Certainty, certainty
 from godfit.blind.choice import ordered
-from godfit.blind.exact import Exact, Posed, sector_covariance, solved_exactly
+from godfit.blind.exact import Exact, Given, Posed, sector_covariance, solved_exactly
 from godfit.blind.hypotheses import Hypothesis, ground_colour
 from godfit.blind.panels import panels
 from godfit.blind.reduced import Reduced, additive, clipped_pixels, reduced
@@ -28,6 +28,7 @@ from godfit.io.filters import shrink
 from godfit.io.image import LEVELS, Image
 from godfit.models.coordinates import (
     DENSITY,
+    EDGE,
     EXPOSURE,
     GAIN,
     KAPPA,
@@ -38,7 +39,8 @@ from godfit.models.coordinates import (
 )
 from godfit.models.mitchell import Mitchell
 from godfit.runtime.blas import one_thread
-from godfit.runtime.interrupts import requested
+from godfit.runtime.interrupts import kept_for_later, requested
+from godfit.runtime.parallel import parallel_map
 
 LEAST_PIXELS = 500
 """Pixels without which nothing can be estimated."""
@@ -52,8 +54,16 @@ MOST_KAPPA_ERROR = 0.3
 """The same of the attenuation, as a share of it."""
 EXPLAINED_NOISE = 4.0
 """Noise in levels up to which single pixels are explained: more is structure."""
+ROUNDING_NOISE = 0.5
+"""Noise in levels up to which single pixels are explained as well as rounding allows."""
 SAME_AS_SEARCH = 0.01
 """Distance of the exact light from that of the search, up to which the two agree."""
+SHARED_ERROR = (1.0, 1.0, 0.25, 0.25)
+"""Share of the distance between the exact answer and the search's that counts as an error: of light
+u and v, attenuation and density. The copy has no own pixel and nearest texels, which bias the last
+two: on real frames they are four times as far off there."""
+CLIPPED_SHARE = 0.5
+"""Share of a disc's pixels that must not be clipped for its gain to have a number."""
 RIVAL_COST = 0.5
 """Share of the best hypothesis's explanation from which another one explains as well."""
 RIVAL_PLACE = 0.02
@@ -76,6 +86,7 @@ HYPOTHESIS = {
     "colour": "the mask is a disc on a veil, open where the picture has its ground's colour",
     "darkness": "the mask is a disc on a veil, open where the picture is not dark",
 }
+CANONICAL = "under any shader, whose --shader only names them: "
 BOX = "{}: numbers of this shader are not estimated without a mask; the light alone is"
 PANEL = "a panel at {},{},{},{} is taken to lie on top and is left out"
 
@@ -111,53 +122,76 @@ class Settings(NamedTuple):
 def found_in(
     target: Image, shading: Mitchell, settings: Settings, say: Callable[[str], None]
 ) -> tuple[Found, tuple[str, ...]]:
-    """What was found, and notes. Raises InputError for pictures without enough pixels."""
+    """What was found, and notes. Raises InputError for pictures without enough pixels.
+
+    In a command the first interrupt ends the search with the best answer so far.
+    """
+    _check(target, settings.valid)
+    notes: tuple[str, ...] = ()
+    box = bool(shading.convention.box)
+    if box:
+        notes += (BOX.format(shading.shader),)
+        shading = Mitchell(1.0, 0.9, 0.5, 0.5, [[0.5, 0.5]], "mitchell", None)
+    say("background, objects, panels")
+    picture, lying = _picture(target, settings.valid, shading)
+    notes += tuple(PANEL.format(*place) for place in lying)
+    copy = reduced(picture.levels, picture.valid, shading.convention)
+    occluded = np.zeros(copy.valid.shape, bool)
+    if settings.occluder is not None:
+        occluded = shrink(settings.occluder.astype(np.float32), occluded.shape) > 0.5
+    with kept_for_later():
+        candidates = ordered(_searched(_tried(copy, occluded, settings), settings, say))
+        best = candidates[0]
+        say("other pixels, sector by sector")
+        sure = certainty(best, settings.place, settings.seed)
+        say("exact numbers")
+        given = Given(settings.fix, settings.start, settings.pass_scale)
+        posed = Posed(copy, picture, shading, given)
+        exact = solved_exactly(best, posed, settings.seed, requested)
+        if exact.exact and exact.settled.sigma < ROUNDING_NOISE:
+            # Every pixel is explained: what other hypotheses make of differences is no doubt.
+            candidates = [best]
+        doubts = [*_doubts(candidates, sure), *_exact_doubts(exact, best)]
+        if settings.lights > 1:
+            doubts.append(SEVERAL.format(settings.lights))
+        if requested():
+            doubts.insert(0, STOPPED)
+    found = _concluded(exact, candidates, sure, doubts, box).replaced(
+        pass_scale=settings.pass_scale
+    )
+    return found, (*notes, HYPOTHESIS[best.hypothesis.name], *_canonical(found))
+
+
+def _check(target: Image, valid: np.ndarray | None) -> None:
+    """Raise InputError for a picture that is too small, or ignored."""
     h, w = target.values.shape[:2]
     if min(h, w) < LEAST_SIZE:
         raise InputError(
             f"target: expected at least {LEAST_SIZE}x{LEAST_SIZE} pixels without a mask, "
             f"got {w}x{h}"
         )
-    if settings.valid is not None and np.count_nonzero(settings.valid) < LEAST_PIXELS:
+    if valid is not None and np.count_nonzero(valid) < LEAST_PIXELS:
         raise InputError(
             f"ignore: expected some open background, at least {LEAST_PIXELS} pixels, got "
-            f"{np.count_nonzero(settings.valid)}; ignore less"
+            f"{np.count_nonzero(valid)}; ignore less"
         )
-    notes: tuple[str, ...] = ()
-    if shading.convention.box:
-        notes += (BOX.format(shading.shader),)
-        shading = Mitchell(1.0, 0.9, 0.5, 0.5, [[0.5, 0.5]], "mitchell", None)
-        box = True
-    else:
-        box = False
-    say("background, objects, panels")
-    picture = Picture.make(target, np.ones((h, w), np.float32), None, settings.valid)
+
+
+def _picture(
+    target: Image, valid: np.ndarray | None, shading: Mitchell
+) -> tuple[Picture, list[tuple[int, int, int, int]]]:
+    """The picture without the panels that lie on it, and these, as (x, y, width, height)."""
+    size = target.values.shape[:2]
+    picture = Picture.make(target, np.ones(size, np.float32), None, valid)
     picture = dataclasses.replace(picture, foreign=FOREIGN)
     if shading.convention.blend == "screen":
         # A screen blend happens in linear light, and the canvas is encoded after it.
         picture = dataclasses.replace(picture, transfer="srgb")
     lying = _panels(picture, shading)
-    valid = picture.valid.copy()
+    kept = picture.valid.copy()
     for x, y, wide, tall in lying:
-        valid[max(y - 2, 0) : y + tall + 2, max(x - 2, 0) : x + wide + 2] = False
-    notes += tuple(PANEL.format(*place) for place in lying)
-    picture = dataclasses.replace(picture, valid=valid)
-    copy = reduced(picture.levels, valid, shading.convention)
-    occluded = np.zeros(copy.valid.shape, bool)
-    if settings.occluder is not None:
-        occluded = shrink(settings.occluder.astype(np.float32), occluded.shape) > 0.5
-    candidates = ordered(_searched(_tried(copy, occluded, settings), settings, say))
-    best = candidates[0]
-    say("other pixels, sector by sector")
-    sure = certainty(best, settings.place, settings.seed)
-    doubts = _doubts(candidates, sure)
-    if settings.lights > 1:
-        doubts.append(SEVERAL.format(settings.lights))
-    say("exact numbers")
-    posed = Posed(copy, picture, shading, settings.fix, settings.start)
-    exact = solved_exactly(best, posed, settings.seed, requested)
-    notes += (HYPOTHESIS[best.hypothesis.name],)
-    return _concluded(exact, best, sure, [*doubts, *_exact_doubts(exact, best)], box), notes
+        kept[max(y - 2, 0) : y + tall + 2, max(x - 2, 0) : x + wide + 2] = False
+    return dataclasses.replace(picture, valid=kept), lying
 
 
 def _panels(picture: Picture, shading: Mitchell) -> list[tuple[int, int, int, int]]:
@@ -185,15 +219,9 @@ def _tried(copy: Reduced, occluded: np.ndarray, settings: Settings) -> list[Hypo
 def _searched(
     tried: list[Hypothesis], settings: Settings, say: Callable[[str], None]
 ) -> list[Candidate]:
-    """The best light under each hypothesis, or under those that were searched before an
-    interrupt."""
-    found: list[Candidate] = []
-    for hypothesis in tried:
-        if found and requested():
-            break
-        say(f"lights, under the hypothesis {hypothesis.name}")
-        found.append(searched(hypothesis, settings.place, settings.seed))
-    return found
+    """The best light under each hypothesis, a core each; the best so far after an interrupt."""
+    say("lights under each hypothesis: " + ", ".join(h.name for h in tried))
+    return parallel_map(lambda h: searched(h, settings.place, settings.seed), tried)
 
 
 def _doubts(candidates: list[Candidate], sure: Certainty) -> list[str]:
@@ -206,13 +234,18 @@ def _doubts(candidates: list[Candidate], sure: Certainty) -> list[str]:
         doubts.append(UNSURE.format(cost))
     if sure.apart > SAME_PLACE:
         doubts.append(DISAGREE.format(100 * sure.apart))
-    for other in candidates[1:]:
+    for other in _rivals(candidates):
         apart = distance(best.place, other.place)
-        if other.cost < RIVAL_COST * cost and apart > RIVAL_PLACE:
+        if apart > RIVAL_PLACE:
             doubts.append(RIVALS.format(100 * apart))
     if sure.at_end:
         doubts.append(AT_END)
     return doubts
+
+
+def _rivals(candidates: list[Candidate]) -> list[Candidate]:
+    """Hypotheses beside the chosen one that explain the picture as well."""
+    return [c for c in candidates[1:] if c.cost < RIVAL_COST * candidates[0].cost]
 
 
 def _exact_doubts(exact: Exact, best: Candidate) -> list[str]:
@@ -234,30 +267,34 @@ def distance(one: tuple[float, float], other: tuple[float, float]) -> float:
 
 
 def _concluded(
-    exact: Exact, best: Candidate, sure: Certainty, doubts: list[str], box: bool
+    exact: Exact, candidates: list[Candidate], sure: Certainty, doubts: list[str], box: bool
 ) -> Found:
     """The answer with its errors, and without a number for what is not determined."""
     problem, settled = exact.problem, exact.settled
     z, free, held = settled.coordinates, problem.free.copy(), problem.held.copy()
+    best = candidates[0]
     known = [LIGHT_X, LIGHT_Y, KAPPA, DENSITY]
     # What the search on the copy says holds where single pixels say nothing, or promise more.
     scatter = np.zeros((len(z), len(z)))
     scatter[np.ix_(known, known)] = sure.covariance
+    for other in _rivals(candidates):
+        scatter[known[:2], known[:2]] += np.subtract(other.place, best.place) ** 2
     at = evidence(settled, exact.tangent, exact.seen).within(problem.model.ranges(z))
     if exact.exact:
         scatter = at.covariance(free) + sector_covariance(exact)
+        # Two answers that do not share their assumptions: the error is at least their distance.
+        found = np.array([*best.place, best.point[2], best.density])
+        scatter[known, known] += (np.array(SHARED_ERROR) * (z[known] - found)) ** 2
     scatter[~free] = scatter[:, ~free] = 0.0
     opened: list[tuple[int, list[int]]] = []
     if free[GAIN] and not np.isnan(held[EXPOSURE]):
         opened.append((EXPOSURE, [GAIN]))
-    lost = _lost(z, scatter, exact.exact, box)
+    lost = _lost(exact, scatter, box)
     for index in lost:
         if free[index]:
             opened.append((index, []))
             free[index], held[index] = False, z[index]
             scatter[index] = scatter[:, index] = 0.0
-    if requested():
-        doubts = [STOPPED, *doubts]
     objection = doubts[0] + NEXT if doubts else ""
     remarks = tuple(Remark(doubt, "unsure") for doubt in doubts[1:])
     return Found(
@@ -266,14 +303,46 @@ def _concluded(
     )  # fmt: skip
 
 
-def _lost(z: np.ndarray, scatter: np.ndarray, exact: bool, box: bool) -> list[int]:
+def _lost(exact: Exact, scatter: np.ndarray, box: bool) -> list[int]:
     """Coordinates that the picture does not determine well enough to be told as numbers."""
-    if box or not exact:
-        return [KAPPA, DENSITY, GAIN, VEIL, RADIUS]
-    error = np.sqrt(np.diag(scatter))
-    lost = []
+    if box or not exact.exact:
+        return [KAPPA, DENSITY, GAIN, RADIUS, EDGE, VEIL]
+    z, error = exact.settled.coordinates, np.sqrt(np.diag(scatter))
+    # The gain of a disc that is clipped trades with its radius, in a valley that is no straight
+    # line: its error says little.
+    lost = [GAIN, RADIUS, EDGE, VEIL] if _clipped_disc(exact) else []
     if error[DENSITY] > MOST_DENSITY_ERROR:
         lost.append(DENSITY)
     if error[KAPPA] > MOST_KAPPA_ERROR * max(z[KAPPA], 1.0):
         lost.append(KAPPA)
     return lost
+
+
+def _clipped_disc(exact: Exact) -> bool:
+    """Whether most of the disc's pixels are clipped, behind objects, or off the picture."""
+    picture, z = exact.problem.picture, exact.settled.coordinates
+    h, w = picture.size
+    row, column = np.mgrid[:h, :w]
+    x, y = column + 0.5 - z[LIGHT_X] * w, row + 0.5 - (1 - z[LIGHT_Y]) * h
+    inside = x * x + y * y < (z[RADIUS] * h) ** 2
+    in_sight = picture.valid & ~picture.clipped
+    open_ = np.count_nonzero(inside & in_sight)
+    return open_ < CLIPPED_SHARE * max(1.0, np.pi * (z[RADIUS] * h) ** 2)
+
+
+def _canonical(found: Found) -> tuple[str, ...]:
+    """What is determined in numbers that no shader names, as a note; none where nothing is."""
+    z, free, spread = found.settled.coordinates, found.problem.free, found.scatter
+    assert spread is not None
+    parts = []
+    if free[KAPPA] and free[DENSITY]:
+        slope = np.array([z[DENSITY], z[KAPPA]])
+        pair = [KAPPA, DENSITY]
+        error = np.sqrt(slope @ spread[np.ix_(pair, pair)] @ slope)
+        parts.append(f"attenuation along a ray {z[KAPPA] * z[DENSITY]:.3g} +- {error:.2g}")
+    if free[DENSITY]:
+        parts.append(f"density {z[DENSITY]:.3g} +- {np.sqrt(spread[DENSITY, DENSITY]):.2g}")
+    if free[GAIN] and free[DENSITY]:
+        error = z[DENSITY] * np.sqrt(spread[GAIN, GAIN])
+        parts.append(f"gain {z[GAIN] * z[DENSITY]:.3g} +- {error:.2g}")
+    return (CANONICAL + ", ".join(parts),) if parts else ()

@@ -28,6 +28,7 @@ from godfit.inference.problem import Problem, given_and_held
 from godfit.inference.settle import Settled, settle
 from godfit.inference.solver import Tangent, solve, tangent_at
 from godfit.io.image import LEVELS
+from godfit.io.sources import shrink_mask
 from godfit.models.background import TERM_COUNTS
 from godfit.models.coordinates import (
     DENSITY,
@@ -55,23 +56,33 @@ BLOCK = (8, 32)
 less."""
 SIGMAS = (8.0, 3.0, 1.0)
 """Noise in levels allowed for, lowered solve by solve."""
+RADII = (1.0, 0.8)
+"""Shares of the search's radius that the disc starts with: a clipped disc is smaller than what is
+bright, and radius and gain trade."""
 CALM = 3.0
 """Texture in levels up to which the likelihood of single pixels knows more than differences."""
 MOST_SECTORS = 24
 """Sectors about the light whose pixels err together, at least: an object lies in a few of them."""
-ROUNDS = 8
-"""Rounds of the likelihood, at most."""
+ROUNDS = 25
+"""Rounds of the likelihood, at most: the valley in which attenuation and gain trade is long."""
+
+
+class Given(NamedTuple):
+    """What the user gives: values that are held (None: at the start or the default) and ones that
+    are started from, and the light pass's size against the picture's, ``pass_scale``."""
+
+    fix: Mapping[str, float | None]
+    start: Mapping[str, float]
+    pass_scale: float | None
 
 
 class Posed(NamedTuple):
-    """A picture and its ``copy``, the ``shading`` at no particular point, and what the user gives:
-    values that are held (None: at the start or default) and ones that are started from."""
+    """A picture and its ``copy``, the ``shading`` at no particular point, and what is ``given``."""
 
     copy: Reduced
     picture: Picture
     shading: Mitchell
-    fix: Mapping[str, float | None]
-    start: Mapping[str, float]
+    given: Given
 
 
 class Exact(NamedTuple):
@@ -116,7 +127,8 @@ def solved_exactly(
         known = picture.valid
     texture = drawn(candidate.hypothesis, FINE_PAIRS, seed).spread * LEVELS
     calm = candidate.hypothesis.name != "bright" and texture < CALM
-    picture = dataclasses.replace(picture, mask=open_, valid=known)
+    mask = shrink_mask(open_, posed.given.pass_scale or 1.0)
+    picture = dataclasses.replace(picture, mask=mask, valid=known)
     degree = 0 if calm else 2
     model = DiscLight(
         shading,
@@ -129,12 +141,22 @@ def solved_exactly(
     linear[[GAIN, VEIL]] = free[[GAIN, VEIL]]
     seen = picture.observe(blocks(picture, seed))
     problem = Problem(model, picture, free, held, seed)
-    point = solve(start, problem.replaced(free=linear), seen, max(SIGMAS[0], texture)).coordinates
+    first = problem.replaced(free=linear)
     if calm and not stopped():
-        for sigma in SIGMAS:
-            point = solve(point, problem, seen, sigma).coordinates
-        settled, tangent = settle(point, problem, seen, rounds=ROUNDS)
+        ends = []
+        for share in RADII:
+            z = start.copy()
+            if free[RADIUS]:
+                z[RADIUS] *= share
+            z = solve(z, first, seen, SIGMAS[0]).coordinates
+            for sigma in SIGMAS:
+                point = solve(z, problem, seen, sigma)
+                z = point.coordinates
+            ends.append(point)
+        best = min(ends, key=lambda point: point.cost)
+        settled, tangent = settle(best.coordinates, problem, seen, rounds=ROUNDS)
         return Exact(problem, seen, settled, tangent, True)
+    point = solve(start, first, seen, max(SIGMAS[0], texture)).coordinates
     tangent = tangent_at(point, problem, seen)
     sigma, likelihood = best_sigma(tangent.prediction, seen)
     return Exact(problem, seen, Settled(point, sigma, likelihood, True), tangent, False)
@@ -144,7 +166,7 @@ def _start(
     candidate: Candidate, model: DiscLight, posed: Posed, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """(p,) the coordinates that the search found, and (p,) those that are held, NaN where free."""
-    given, held = given_and_held(model, posed.fix, posed.start)
+    given, held = given_and_held(model, posed.given.fix, posed.given.start)
     hypothesis = candidate.hypothesis
     h, w = hypothesis.values.shape
     pairs = drawn(hypothesis, FINE_PAIRS, seed)

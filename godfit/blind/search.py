@@ -15,6 +15,7 @@ from scipy.optimize import differential_evolution, minimize
 
 from godfit.blind.hypotheses import Hypothesis
 from godfit.blind.pairs import Pairs, costs, drawn
+from godfit.runtime.interrupts import requested
 
 GRID_U, GRID_V = 25, 15
 """Lights of the grid along the picture's width and height."""
@@ -125,7 +126,7 @@ def searched(hypothesis: Hypothesis, near: tuple[float, float] | None, seed: int
     found = differential_evolution(
         cost, list(zip(lower, upper, strict=True)), vectorized=True, updating="deferred",
         init=begun, maxiter=GENERATIONS, tol=1e-4, rng=seed, polish=False, mutation=(0.5, 0.9),
-        recombination=0.8,
+        recombination=0.8, callback=lambda intermediate_result: requested(),
     )  # fmt: skip
     fine = drawn(hypothesis, FINE_PAIRS, seed + 2)
     return climbed(Candidate(hypothesis, found.x, 0.0), fine, (lower, upper))

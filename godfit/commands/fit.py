@@ -31,6 +31,7 @@ from godfit.commands.study import (
 from godfit.io.frames import is_video
 from godfit.io.regular_files import read_regular
 from godfit.io.sidecar import keep_one_source
+from godfit.runtime.interrupts import INTERRUPTED, requested
 
 if TYPE_CHECKING:
     from godfit.commands.progress import Progress
@@ -103,10 +104,10 @@ def fit(
     If x.toml lies beside a TARGET x.png, mask or scene, shader and samples are taken from it.
     Options override them. The result goes to x.godfit/: fit.json, fit.png, render.png.
 
-    Without a mask and a scene, TARGET is taken for a finished picture. Background, occluders,
-    panels and the light's disc are then estimated and fitted together. With --bright-pass the light
-    is everything bright in the picture, as in a photograph. Several TARGETs, or a video, are frames
-    of one clip, with one shader for all frames and a light for each.
+    Without a mask and a scene, TARGET is taken for a finished picture. The light is searched under
+    several hypotheses of the mask, and the best one is reported. With --bright-pass only that one
+    is tried under which the light is bright in the picture, as in a photograph. Several TARGETs, or
+    a video, are frames of one clip, with one shader for all frames and a light for each.
 
     With --scene the mask is drawn from meshes. --free light.position fits that position as well.
     Other names are light.radius, camera.position, object[0].position and object[0].rotation. With
@@ -152,6 +153,8 @@ def fit(
         files = save_result(result, run, study.folder, names)
     notes = [*result.notes, *result.undetermined, *result.warnings]
     print_result(result, notes, run, files)
+    if requested():
+        return INTERRUPTED
     return 0 if result.converged else NOT_CONVERGED
 
 

@@ -11,6 +11,7 @@ import _imp
 import contextlib
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
 
@@ -66,8 +67,9 @@ def kept_for_later() -> Iterator[None]:
         _requests.append(number)
 
     _requests.clear()
-    if signal.getsignal(signal.SIGINT) is not _end:
-        # Another program's handler, or none, is left as it is.
+    own = threading.current_thread() is threading.main_thread()
+    if not own or signal.getsignal(signal.SIGINT) is not _end:
+        # Another program's handler is left as it is, and only the main thread may set one.
         yield
         return
     signal.signal(signal.SIGINT, first)

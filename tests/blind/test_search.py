@@ -18,6 +18,7 @@ from godfit.scattering.taps import convention
 
 SIZE = 90, 160
 LIGHT = 0.4, 0.55
+VEIL = 0.06
 DAWN = convention("dawntime")
 
 
@@ -35,16 +36,16 @@ def light_pass(mask, light, kappa, density, samples=60):
     return out
 
 
-def scene(seed=0, veil=0.06, texture=0.0, gain=0.9):
+def scene(texture=0.0, gain=0.9, light=LIGHT):
     """Bytes of a black box and a disc on a veil, over a ground of one colour; and its mask."""
     h, w = SIZE
     row, column = np.mgrid[:h, :w]
-    away = np.hypot(column + 0.5 - LIGHT[0] * w, row + 0.5 - (1 - LIGHT[1]) * h)
+    away = np.hypot(column + 0.5 - light[0] * w, row + 0.5 - (1 - light[1]) * h)
     box = (abs(column - 82) < 14) & (abs(row - 40) < 18)
-    mask = np.where(box, 0.0, np.where(away < 8, 1.0, veil))
-    lit = gain * (light_pass(mask, LIGHT, 2.0, 0.8) + 0.3 * mask)
+    mask = np.where(box, 0.0, np.where(away < 8, 1.0, VEIL))
+    lit = gain * (light_pass(mask, light, 2.0, 0.8) + 0.3 * mask)
     ground = np.where(box[..., None], 0.0, [0.05, 0.3, 0.4])
-    noise = np.random.default_rng(seed).normal(0, texture, (h, w, 1))
+    noise = np.random.default_rng(0).normal(0, texture, (h, w, 1))
     return np.round(255 * np.clip(ground + lit[..., None] + noise, 0, 1)).astype(np.uint8), mask
 
 
@@ -201,7 +202,7 @@ def test_a_whole_fit(single_precision):
     assert abs(result.params["light_y"].value - LIGHT[1]) < 0.005
     density = result.params["density"]
     assert density.stderr is None or abs(density.value - 0.8) < 5 * density.stderr
-    estimated = np.asarray(result.mask) > 0.5 * (0.06 + 1)
+    estimated = np.asarray(result.mask) > (VEIL + 1) / 2
     assert (estimated & (mask == 1)).sum() > 0.7 * (estimated | (mask == 1)).sum()
     assert any("disc on a veil" in str(note) for note in result.notes)
 
@@ -211,3 +212,11 @@ def test_what_has_no_rays_is_refused_with_what_to_do_next(single_precision):
     assert not result.converged
     assert "no rays were found" in result.message
     assert "--background" in result.message
+
+
+def test_a_clip_of_bare_pictures_names_every_frames_light(single_precision):
+    lights = LIGHT, (0.42, 0.56)
+    frames = [scene(light=light)[0] for light in lights]
+    result = godfit.fit_clip(frames, shader="dawntime", samples=60)
+    for frame, light in zip(result.frames, lights, strict=True):
+        assert np.abs(np.subtract(frame.light, light)).max() < 0.005

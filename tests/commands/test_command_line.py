@@ -263,7 +263,6 @@ def test_compare_needs_a_mask(disc, capsys):
     ("arguments", "words"),
     [
         (["--model", "hoffman-preetham"], "expected --mask or --scene"),
-        (["--lights", "2"], "expected 1 without a mask"),
         (["--background", "SMALL"], "expected none without a mask"),
         (["--shader", "three"], "expected one with the shader 'three'"),
         (["--occluder", "SMALL"], "expected the target's 256x256 pixels, got 16x16"),
