@@ -85,10 +85,10 @@ def found_in(
     something is known to stand in the way; ``pass_scale`` is asked of the picture where it is not
     given; ``like`` (4,) are coordinates of the scattering that other frames of a clip have, NaN
     where none tells. Raises InputError for what cannot be read so."""
-    if not shading.convention.plain:
-        raise InputError(
-            f"mask: expected one with the shader '{shading.shader}', got none; give --mask"
-        )
+    own = shading.convention
+    # Without a mask the search has the four numbers of Mitchell's family, and scales of its kind.
+    if not own.plain or own.absent or own.averaged or not own.own_scaled:
+        raise InputError(f"mask: expected one with the shader '{own.name}', got none; give --mask")
     if min(target.values.shape[:2]) < 32:
         h, w = target.values.shape[:2]
         raise InputError(f"target: expected at least 32x32 pixels without a mask, got {w}x{h}")
