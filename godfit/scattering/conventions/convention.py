@@ -184,7 +184,7 @@ class Convention:
 
     @property
     def product_open(self) -> bool:
-        """Whether no picture tells exposure from weight."""
+        """Whether a picture determines the product of exposure and weight alone."""
         return not (self.composed or self.own_pixel) and "weight" not in self.absent
 
     @property
