@@ -187,7 +187,7 @@ def as_picture(images: Recorded, levels: np.ndarray) -> Picture:
 def given_data(model: AbstractModel, picture: Picture, levels: np.ndarray) -> dict[str, Any]:
     """The data of a viewer of a model whose parameters are given, and have no errors."""
     params = {name: Estimate(float(v), None, True) for name, v in model.values().items()}
-    return page_data(Shown(model, picture, params, levels))
+    return page_data(Shown(model, picture, params, levels, fixed="given"))
 
 
 def record_page(record: Mapping[str, Any], images: Recorded, target: np.ndarray) -> Page:
