@@ -170,7 +170,12 @@ def test_a_slider_and_a_dragged_light_change_the_picture_as_the_model_says(brows
 def test_copied_text_has_the_numbers_on_the_page(browser, tmp_path):
     one = shown_of("dawntime")
     with opened(browser, stored(tmp_path, page_of(one))) as page:
+        page.select_option("select[name=convention]", "three")
+        levels(page)
+        assert page.locator("input[name=decay]").is_disabled()
         page.select_option("select[name=convention]", "vesper")
+        levels(page)
+        assert page.locator("input[name=decay]").is_enabled()
         page.get_by_role("button", name="copy").click()
         text = page.locator("textarea").input_value()
     found = tomllib.loads(text)

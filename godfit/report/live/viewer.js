@@ -296,17 +296,26 @@ export async function render({model, el}) {
     show(part('canvas', {className: 'picture'}));
     paint();
   };
+  // Sliders that the chosen convention has no parameter for.
+  const enable = () => {
+    const shader = data.conventions[state.shader];
+    for (const name of ['exposure', 'decay', 'density', 'weight', 'samples']) {
+      const input = controls.querySelector(`input[name="${name}"]`);
+      if (input) input.disabled = name === 'samples' ? !shader.samples : !shader.parameters.includes(name);
+    }
+  };
   const update = () => {
     queued = false;
     if (!engine) return paint();
+    enable();
     const {valid} = images[state.frame], whole = valid && upright(valid, 1);
     base ??= engine.levels(atFrame(fitted), data.shader, data.samples);
     const levels = engine.levels(state.values, state.shader, state.samples);
     engine.show(state.mode, state.wipe, data.limit);
     const d = difference(levels, engine.wanted, whole), changed = difference(levels, base, whole);
     said.textContent = `against the target: ${short(d.rms, 3)} levels rms, ${short(d.worst, 3)} at worst`;
-    against.textContent = changed.worst === 0 ? 'these are the fitted numbers'
-      : `against the fitted picture: ${short(changed.rms, 3)} levels rms, ${short(changed.worst, 3)} at worst`;
+    against.textContent = changed.worst === 0 ? 'these are the numbers of the result'
+      : `against the picture of the result: ${short(changed.rms, 3)} levels rms, ${short(changed.worst, 3)} at worst`;
     Object.assign(el.viewer, {levels, stats: d, changed});
     place();
     const hash = new URLSearchParams();
@@ -352,6 +361,8 @@ export async function render({model, el}) {
     return handle;
   });
   const place = () => handles.forEach((handle, i) => {
+    // Side by side, the picture is drawn twice at half its size.
+    handle.hidden = state.mode === 4;
     const [x, y] = data.lights[i].map((name) => state.values[name]), inside = (z) => Math.min(Math.max(z, 0), 1);
     handle.style.left = `${100 * inside(x)}%`;
     handle.style.bottom = `${100 * inside(y)}%`;
