@@ -287,6 +287,8 @@ def test_a_page_of_a_noisy_frame_stays_below_a_megabyte():
     result = fit_result((8, 8))
     picture = Picture(noise, 0.5, np.ones((720, 1280), bool), noise[..., 0] / 255, None, "none")
     data = page_data(Shown(result.model, picture, result.params, noise))
+    assert data["note"].endswith("of 1280x720: levels differ a little")
+    assert "note" not in page_data(shown_of("dawntime"))
     assert len(Page("", "", True, (Section("", viewer=data),)).html()) < 1 << 20
 
 

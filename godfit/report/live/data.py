@@ -59,6 +59,8 @@ LIMIT_QUANTILE = 0.998
 """Quantile of the residual at which the colours of the difference end."""
 LEAST_LIMIT = 0.5
 """Levels at which they end, at least: less is rounding."""
+COARSER = "this page holds the mask at {}x{} pixels of {}x{}: levels differ a little"
+"""Note with the sizes of a mask that was too large for a page."""
 MOVED = ("exposure", "decay", "density", "weight", "red", "blue")
 """Parameters that a slider moves, beside the lights."""
 UNBOUNDED_LEVELS = 1e30
@@ -209,8 +211,12 @@ def page_data(shown: Shown, side: int = PAGE_SIDE, eager: bool = True) -> dict[s
     else at the first touch."""
     view = View.of(shown.picture, side)
     residual = np.abs(shown.levels[view.cut] - shown.picture.levels[view.cut])
+    placed = placed_frame(shown, view)
+    low, whole = placed.get("mask", {}).get("shape", ())[1::-1], placed["pass"]
+    if low and [*low] != whole:
+        placed["note"] = COARSER.format(*low, *whole)
     return {
-        **placed_frame(shown, view),
+        **placed,
         **controls(shown),
         "limit": max(LEAST_LIMIT, float(np.nanquantile(residual, LIMIT_QUANTILE))),
         "eager": eager,
@@ -227,6 +233,7 @@ def placed_frame(shown: Shown, view: View) -> dict[str, Any]:
         "stride": view.stride,
         "transfer": picture.transfer,
         "ends": [float(floor), float(ceiling)],
+        "pass": list(picture.mask.shape[1::-1]),
         **frame(shown, view),
     }
 
