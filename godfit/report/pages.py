@@ -66,13 +66,16 @@ def fit_page(result: FitResult, command: str = "", notebook: bool = False) -> Pa
 
 def clip_page(result: ClipResult) -> Page:
     """The page of a clip: its shader on every frame, with the frame's own light."""
-    viewer = clip_data(result.pages, result.model, result.params) if result.pages else None
     count, whole = len(result.pages), len(result.frames)
-    note = f"the first {count} of {whole} frames" if count < whole else f"{whole} frames"
+    viewers = []
+    if count:
+        note = f"the first {count} of {whole} frames" if count < whole else f"{whole} frames"
+        viewer = clip_data(result.pages, result.model, result.params)
+        viewers = [Section(f"The shader of all frames on {note}", viewer=viewer)]
     state = "converged" if result.converged else f"not converged: {result.message}"
     doubts = [*result.undetermined, *result.warnings, *result.notes]
     sections = (
-        Section(f"The shader of all frames on {note}", viewer=viewer),
+        *viewers,
         Section("Parameters", parameters(result.params) + sentences(doubts)),
         Section(PRINTED, plain(result.summary())),
     )
@@ -187,7 +190,7 @@ def as_picture(images: Recorded, levels: np.ndarray) -> Picture:
 def given_data(model: AbstractModel, picture: Picture, levels: np.ndarray) -> dict[str, Any]:
     """The data of a viewer of a model whose parameters are given, and have no errors."""
     params = {name: Estimate(float(v), None, True) for name, v in model.values().items()}
-    return page_data(Shown(model, picture, params, levels))
+    return page_data(Shown(model, picture, params, levels, fixed="given"))
 
 
 def record_page(record: Mapping[str, Any], images: Recorded, target: np.ndarray) -> Page:

@@ -170,7 +170,12 @@ def test_a_slider_and_a_dragged_light_change_the_picture_as_the_model_says(brows
 def test_copied_text_has_the_numbers_on_the_page(browser, tmp_path):
     one = shown_of("dawntime")
     with opened(browser, stored(tmp_path, page_of(one))) as page:
+        page.select_option("select[name=convention]", "three")
+        levels(page)
+        assert page.locator("input[name=decay]").is_disabled()
         page.select_option("select[name=convention]", "vesper")
+        levels(page)
+        assert page.locator("input[name=decay]").is_enabled()
         page.get_by_role("button", name="copy").click()
         text = page.locator("textarea").input_value()
     found = tomllib.loads(text)
@@ -282,6 +287,8 @@ def test_a_page_of_a_noisy_frame_stays_below_a_megabyte():
     result = fit_result((8, 8))
     picture = Picture(noise, 0.5, np.ones((720, 1280), bool), noise[..., 0] / 255, None, "none")
     data = page_data(Shown(result.model, picture, result.params, noise))
+    assert data["note"].endswith("of 1280x720: levels differ a little")
+    assert "note" not in page_data(shown_of("dawntime"))
     assert len(Page("", "", True, (Section("", viewer=data),)).html()) < 1 << 20
 
 

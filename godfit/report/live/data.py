@@ -59,6 +59,8 @@ LIMIT_QUANTILE = 0.998
 """Quantile of the residual at which the colours of the difference end."""
 LEAST_LIMIT = 0.5
 """Levels at which they end, at least: less is rounding."""
+COARSER = "this page holds the mask at {}x{} pixels of {}x{}: levels differ a little"
+"""Note with the sizes of a mask that was too large for a page."""
 MOVED = ("exposure", "decay", "density", "weight", "red", "blue")
 """Parameters that a slider moves, beside the lights."""
 UNBOUNDED_LEVELS = 1e30
@@ -77,7 +79,7 @@ COVERAGE = 1.96
 class Shown:
     """What a page is made of: a model with its ``params``, on a ``picture``; ``levels`` (h, w, c)
     is the fitted picture, and ``where`` (rows, columns) the share of the information on each
-    parameter."""
+    parameter. ``fixed`` is what is said beside a parameter that was not fitted."""
 
     model: AbstractModel
     picture: Picture
@@ -85,6 +87,7 @@ class Shown:
     levels: np.ndarray
     where: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
     command: str = ""
+    fixed: str = "held"
 
     @property
     def shading(self) -> Mitchell | None:
@@ -208,8 +211,12 @@ def page_data(shown: Shown, side: int = PAGE_SIDE, eager: bool = True) -> dict[s
     else at the first touch."""
     view = View.of(shown.picture, side)
     residual = np.abs(shown.levels[view.cut] - shown.picture.levels[view.cut])
+    placed = placed_frame(shown, view)
+    low, whole = placed.get("mask", {}).get("shape", ())[1::-1], placed["pass"]
+    if low and [*low] != whole:
+        placed["note"] = COARSER.format(*low, *whole)
     return {
-        **placed_frame(shown, view),
+        **placed,
         **controls(shown),
         "limit": max(LEAST_LIMIT, float(np.nanquantile(residual, LIMIT_QUANTILE))),
         "eager": eager,
@@ -226,6 +233,7 @@ def placed_frame(shown: Shown, view: View) -> dict[str, Any]:
         "stride": view.stride,
         "transfer": picture.transfer,
         "ends": [float(floor), float(ceiling)],
+        "pass": list(picture.mask.shape[1::-1]),
         **frame(shown, view),
     }
 
@@ -242,7 +250,7 @@ def controls(shown: Shown) -> dict[str, Any]:
     # The light of a scene is where its camera has it.
     params |= {name: Estimate(float(v), None, True) for name, v in placed if name not in params}
     moved = {name: e for name, e in params.items() if name in MOVED or is_light(name)}
-    rows = [slider(name, e, shown.model) for name, e in moved.items()]
+    rows = [slider(name, e, shown) for name, e in moved.items()]
     return {
         "live": True,
         "params": rows,
@@ -269,12 +277,13 @@ def clip_data(
     light = {name: Estimate(value, None, True) for name, value in first["light"].items()}
     nothing = np.zeros((1, 1, 1), np.float32)
     picture = Picture(nothing, 0.5, np.ones((1, 1), bool), nothing[..., 0], None, "none")
-    shared = controls(Shown(model, picture, {**params, **light}, nothing))
+    shared = controls(Shown(model, picture, {**params, **light}, nothing, fixed="of the frame"))
     return {**first, **shared, "frames": list(frames), "limit": CLIP_LIMIT, "eager": True}
 
 
-def slider(name: str, e: Estimate, model: AbstractModel) -> dict[str, Any]:
+def slider(name: str, e: Estimate, shown: Shown) -> dict[str, Any]:
     """The slider of a parameter: its range, its 95% band, and what is said beside it."""
+    model = shown.model
     table = model.parameters | {row.name: row for row in light_parameters(len(model.light))}
     row, error = table[name], e.stderr or 0.0
     reach = max(RANGE_SHARE * abs(e.value), RANGE_ERRORS * error)
@@ -282,7 +291,7 @@ def slider(name: str, e: Estimate, model: AbstractModel) -> dict[str, Any]:
     band = e.interval or (e.value - COVERAGE * error, e.value + COVERAGE * error)
     remark = f"± {e.stderr:.2g}" if e.stderr is not None else "not determined"
     if e.fixed:
-        remark = "held"
+        remark = shown.fixed
     elif e.at_bound:
         remark = "at its bound"
     return {

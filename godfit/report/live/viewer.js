@@ -135,9 +135,9 @@ class Engine {
     this.targetTexture = this.floatTexture(...this.size, this.wanted, gl.NEAREST);
     this.backTexture = background ? this.floatTexture(...this.size, upright(background, 1), gl.NEAREST) : null;
     this.levelsTexture = this.floatTexture(...this.size, null, gl.NEAREST);
-    const [W, H] = this.data.size;
-    this.smaller = mask.w !== W || mask.h !== H;
-    this.passSize = this.smaller ? [mask.w, mask.h] : this.size;
+    const [W, H] = this.data.size, [w, h] = this.data.pass;
+    this.smaller = w !== W || h !== H;
+    this.passSize = this.smaller ? [w, h] : this.size;
     this.chain = [0, 1].map(() => this.floatTexture(mask.w, mask.h));
     this.sums = [0, 1].map(() => this.floatTexture(...this.passSize));
     this.textures = [this.maskTexture, this.targetTexture, this.backTexture, this.levelsTexture, ...this.chain, ...this.sums]
@@ -173,7 +173,7 @@ class Engine {
     lightsOf(data, values).forEach((light, number) => {
       let source = this.maskTexture, filtered = this.bytes || this.floats;
       shader.spans.forEach((span, step) => {
-        const last = step === shader.spans.length - 1, whole = last && !this.smaller ? data.size : [mask.w, mask.h];
+        const last = step === shader.spans.length - 1, whole = last ? (this.smaller ? data.pass : data.size) : [mask.w, mask.h];
         const stride = last && !this.smaller ? data.stride : 1, size = last ? this.passSize : [mask.w, mask.h];
         const into = last ? this.sums[1 - sum] : this.chain[step % 2];
         this.draw(program, into, size, {mask: source, before: number ? this.sums[sum] : this.targetTexture}, {
@@ -268,6 +268,8 @@ export async function render({model, el}) {
     return Object.fromEntries(names.map((name, i) => [name, found[i]]));
   }));
   stage.style.setProperty('--aspect', images[0].target.w / images[0].target.h);
+  // The address is that of a page's first viewer; a notebook's is left alone.
+  const owner = el.dataset.viewer === '0' && location.href !== 'about:srcdoc';
   let engine = null, base = null, queued = false, blink = null;
   const show = (fresh) => {
     canvas.replaceWith(fresh);
@@ -296,24 +298,33 @@ export async function render({model, el}) {
     show(part('canvas', {className: 'picture'}));
     paint();
   };
+  // Sliders that the chosen convention has no parameter for.
+  const enable = () => {
+    const shader = data.conventions[state.shader];
+    for (const name of ['exposure', 'decay', 'density', 'weight', 'samples']) {
+      const input = controls.querySelector(`input[name="${name}"]`);
+      if (input) input.disabled = name === 'samples' ? !shader.samples : !shader.parameters.includes(name);
+    }
+  };
   const update = () => {
     queued = false;
     if (!engine) return paint();
+    enable();
     const {valid} = images[state.frame], whole = valid && upright(valid, 1);
     base ??= engine.levels(atFrame(fitted), data.shader, data.samples);
     const levels = engine.levels(state.values, state.shader, state.samples);
     engine.show(state.mode, state.wipe, data.limit);
     const d = difference(levels, engine.wanted, whole), changed = difference(levels, base, whole);
     said.textContent = `against the target: ${short(d.rms, 3)} levels rms, ${short(d.worst, 3)} at worst`;
-    against.textContent = changed.worst === 0 ? 'these are the fitted numbers'
-      : `against the fitted picture: ${short(changed.rms, 3)} levels rms, ${short(changed.worst, 3)} at worst`;
+    against.textContent = changed.worst === 0 ? 'these are the numbers of the result'
+      : `against the picture of the result: ${short(changed.rms, 3)} levels rms, ${short(changed.worst, 3)} at worst`;
     Object.assign(el.viewer, {levels, stats: d, changed});
     place();
     const hash = new URLSearchParams();
     for (const [name, value] of Object.entries(state.values)) if (value !== fitted[name]) hash.set(name, short(value, 9));
     for (const name of ['shader', 'samples']) if (state[name] !== data[name]) hash.set(name, state[name]);
     if (state.mode !== 1) hash.set('mode', state.mode);
-    if (location.hash.slice(1) !== String(hash) && location.href !== 'about:srcdoc')
+    if (owner && location.hash.slice(1) !== String(hash))
       history.replaceState(null, '', '#' + hash);
   };
   const redraw = () => {
@@ -352,12 +363,15 @@ export async function render({model, el}) {
     return handle;
   });
   const place = () => handles.forEach((handle, i) => {
+    // Side by side, the picture is drawn twice at half its size.
+    handle.hidden = state.mode === 4;
     const [x, y] = data.lights[i].map((name) => state.values[name]), inside = (z) => Math.min(Math.max(z, 0), 1);
     handle.style.left = `${100 * inside(x)}%`;
     handle.style.bottom = `${100 * inside(y)}%`;
     handle.classList.toggle('outside', inside(x) !== x || inside(y) !== y);
   });
   if (data.live) stage.append(...handles);
+  if (data.note) said.after(part('p', {className: 'said', textContent: data.note}));
 
   const choice = (label, options, value, act) => {
     const select = part('select', {}, ...options.map(([key, text]) => part('option', {value: key, textContent: text})));
@@ -445,7 +459,7 @@ export async function render({model, el}) {
       if (state.values[name] !== value) set(name, value, true);
   });
   paint();
-  const hash = new URLSearchParams(location.hash.slice(1));
+  const hash = new URLSearchParams(owner ? location.hash.slice(1) : '');
   if (data.conventions?.[hash.get('shader')]) controls.querySelector('select[name=convention]').value = state.shader = hash.get('shader');
   if (hash.get('samples') > 1) state.samples = +hash.get('samples');
   if (hash.get('mode') in names) view.value = state.mode = +hash.get('mode');
