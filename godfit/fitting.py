@@ -18,8 +18,8 @@ from godfit.blind import photograph, unaided
 from godfit.errors import InputError, Remark
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.fit_setup import prepare_fit
+from godfit.inference.allowances.prior import Prior, check_prior
 from godfit.inference.fitted import Found
-from godfit.inference.prior import Prior, check_prior
 from godfit.inference.problem import MAX_VALUES, Problem, checked_picture, given_and_held
 from godfit.inference.strategy import Effort, left_open, refined_mask, search
 from godfit.io.image import Image
@@ -116,8 +116,8 @@ def fit(
     - `valid`: (h, w), False where the target is to be ignored.
     - `transfer`: `"none"` or `"srgb"`, how the target (and the background) were encoded.
     - `arithmetic`: `"gpu"`, in which a shader walks to the light in float32, or `"exact"`; errors
-      allow for it, see `godfit.inference.arithmetic`. By default `"gpu"` for a target of bytes that
-      this program has not rendered, else `"exact"`.
+      allow for it, see `godfit.inference.allowances.arithmetic`. By default `"gpu"` for a target of
+      bytes that this program has not rendered, else `"exact"`.
     - `channels`: 3 counts every channel of a grey picture. That costs time and adds no information,
       but makes likelihoods comparable with those of models that are never grey.
     - `inquire`: where the residual is not noise, whether to try other starts, to correct the bias

@@ -14,8 +14,8 @@ import numpy as np
 from godfit.errors import InputError
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.model import Flatland
+from godfit.inference.allowances.prior import Prior
 from godfit.inference.observation import ARITHMETICS
-from godfit.inference.prior import Prior
 from godfit.inference.problem import MAX_VALUES
 from godfit.io.image import Image
 from godfit.io.sources import Source

@@ -12,10 +12,10 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
+from godfit.inference.allowances.prior import PriorRows, prior_rows
 from godfit.inference.likelihood import deviance_residuals, interval
 from godfit.inference.noise import noise_of
 from godfit.inference.observation import Observation
-from godfit.inference.prior import PriorRows, prior_rows
 from godfit.inference.problem import Problem
 from godfit.models.base import AbstractModel, Values, Vector
 from godfit.runtime.blas import one_thread

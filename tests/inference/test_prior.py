@@ -5,7 +5,7 @@ import pytest
 
 from godfit import InputError
 from godfit import fit as plain_fit
-from godfit.inference.prior import prior_rows
+from godfit.inference.allowances.prior import prior_rows
 from godfit.models.mitchell import Mitchell
 from tests.support import random_targets
 from tests.support.known_truth import SAMPLES, TRUTH, fit, picture
