@@ -18,7 +18,7 @@ from godfit.blind import photograph, unaided
 from godfit.errors import InputError, Remark
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.fit_setup import prepare_fit
-from godfit.inference.allowances.prior import Prior, check_prior
+from godfit.inference.allowances.prior import checked_prior
 from godfit.inference.fitted import Found
 from godfit.inference.problem import MAX_VALUES, Problem, checked_picture, given_and_held
 from godfit.inference.strategy import Effort, left_open, refined_mask, search
@@ -64,7 +64,7 @@ def fit(
     distance: float | np.ndarray | None = None,
     fix: Mapping[str, float | None] | Sequence[str] | None = None,
     start: Mapping[str, float] | None = None,
-    prior: Prior | None = None,
+    prior: Any = None,
     valid: np.ndarray | None = None,
     transfer: str = "none",
     arithmetic: str | None = None,
@@ -263,8 +263,7 @@ def _pose(request: Request) -> Posed:
     images = {role: dataclasses.replace(im, values=NO_VALUES) for role, im in images.items()}
     given, held = given_and_held(model, request.held_at, start)
     free = np.isnan(held) & model.used
-    prior = request.prior or {}
-    check_prior(prior, model, held)
+    prior = checked_prior(request.prior or {}, model, held)
     notes += tuple(
         Remark(f"prior: {name} = {mean:.6g} +- {sigma:.2g}", "prior")
         for name, (mean, sigma) in prior.items()

@@ -78,10 +78,15 @@ class Tangent(NamedTuple):
         """The tangent of some of the levels."""
         return self._replace(prediction=self.prediction[rows], jacobian=self.jacobian[:, rows])
 
+    def at(self, by: np.ndarray, prediction: np.ndarray) -> Tangent:
+        """The tangent at coordinates that differ ``by`` (p,), where the levels are ``prediction``
+        (m,)."""
+        prior = None if self.prior is None else self.prior.moved(by / self.scale)
+        return self._replace(prediction=prediction, prior=prior)
+
     def shifted(self, by: np.ndarray) -> Tangent:
         """The tangent at coordinates that differ ``by`` (p,)."""
-        prior = None if self.prior is None else self.prior.moved(by / self.scale)
-        return self._replace(prediction=self.moved(by), prior=prior)
+        return self.at(by, self.moved(by))
 
     @property
     def log_prior(self) -> float:
