@@ -18,8 +18,8 @@ from godfit.blind import bare_fit
 from godfit.errors import InputError, Remark
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.fit_setup import prepare_fit
+from godfit.inference.allowances.prior import checked_prior
 from godfit.inference.fitted import Found
-from godfit.inference.prior import Prior, check_prior
 from godfit.inference.problem import MAX_VALUES, Problem, checked_picture, given_and_held
 from godfit.inference.strategy import Effort, left_open, refined_mask, search
 from godfit.io.image import Image
@@ -66,8 +66,8 @@ def fit(
     distance: float | np.ndarray | None = None,
     fix: Mapping[str, float | None] | Sequence[str] | None = None,
     start: Mapping[str, float] | None = None,
-    prior: Prior | None = None,
-    light_near: tuple[float, float] | None = None,
+    prior: Any = None
+    light_near: tuple[float, float] | None = None
     valid: np.ndarray | None = None,
     transfer: str = "none",
     arithmetic: str | None = None,
@@ -121,8 +121,8 @@ def fit(
     - `valid`: (h, w), False where the target is to be ignored.
     - `transfer`: `"none"` or `"srgb"`, how the target (and the background) were encoded.
     - `arithmetic`: `"gpu"`, in which a shader walks to the light in float32, or `"exact"`; errors
-      allow for it, see `godfit.inference.arithmetic`. By default `"gpu"` for a target of bytes that
-      this program has not rendered, else `"exact"`.
+      allow for it, see `godfit.inference.allowances.arithmetic`. By default `"gpu"` for a target of
+      bytes that this program has not rendered, else `"exact"`.
     - `channels`: 3 counts every channel of a grey picture. That costs time and adds no information,
       but makes likelihoods comparable with those of models that are never grey.
     - `inquire`: where the residual is not noise, whether to try other starts, to correct the bias
@@ -266,8 +266,7 @@ def _pose(request: Request) -> Posed:
     images = {role: dataclasses.replace(im, values=NO_VALUES) for role, im in images.items()}
     given, held = given_and_held(model, request.held_at, start)
     free = np.isnan(held) & model.used
-    prior = request.prior or {}
-    check_prior(prior, model, held)
+    prior = checked_prior(request.prior or {}, model, held)
     notes += tuple(
         Remark(f"prior: {name} = {mean:.6g} +- {sigma:.2g}", "prior")
         for name, (mean, sigma) in prior.items()

@@ -15,7 +15,6 @@ from godfit.errors import InputError
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.model import Flatland
 from godfit.inference.observation import ARITHMETICS
-from godfit.inference.prior import Prior
 from godfit.inference.problem import MAX_VALUES
 from godfit.io.image import Image
 from godfit.io.sources import Source
@@ -50,7 +49,7 @@ class Request:
     distance: float | np.ndarray | None = None
     fix: Mapping[str, float | None] | Sequence[str] | None = None
     start: Mapping[str, float] | None = None
-    prior: Prior | None = None
+    prior: Any = None
     light_near: tuple[float, float] | None = None
     valid: np.ndarray | None = None
     transfer: str = "none"

@@ -64,7 +64,7 @@ class Observation(eqx.Module):
     foreign: float = eqx.field(static=True, default=0.0)
     # The texels that the pixels read of a light pass smaller than the picture, if they are few.
     texels: Texels | None = None
-    # Noise of each value in levels beside the common one, see ``arithmetic.py``; None without.
+    # Noise of each value in levels beside the common one, None without: ``allowances``.
     own_noise: Float[Array, " m"] | None = None
 
     def predict(self, model: AbstractModel) -> Float[Array, " m"]:

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from godfit.errors import InputError
+from godfit.inference.allowances.prior import Prior
 from godfit.inference.evaluate import model_at
 from godfit.inference.observation import Observation, Picture
-from godfit.inference.prior import Prior
 from godfit.io.image import Image
 from godfit.io.sources import shrink_mask
 from godfit.models.base import AbstractModel

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import ndtri
 
-from godfit.inference.arithmetic import with_arithmetic
+from godfit.inference.allowances.arithmetic import with_arithmetic
 from godfit.inference.noise import EXPLAINED, best_sigma, noise_of
 from godfit.inference.observation import Observation
 from godfit.inference.problem import Problem

@@ -229,8 +229,7 @@ def aim(
             break
     if likelihood <= at.log_likelihood:
         return at._replace(quiet=True), tangent
-    at_goal = tangent.shifted(z - at.coordinates)
-    return Settled(z, sigma, likelihood, True), at_goal._replace(prediction=levels)
+    return Settled(z, sigma, likelihood, True), tangent.at(z - at.coordinates, levels)
 
 
 def _slack(prediction: np.ndarray, lo: np.ndarray, hi: np.ndarray) -> np.ndarray:

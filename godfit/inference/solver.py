@@ -12,10 +12,10 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
+from godfit.inference.allowances.prior import PriorRows, prior_rows
 from godfit.inference.likelihood import deviance_residuals, interval
 from godfit.inference.noise import noise_of
 from godfit.inference.observation import Observation
-from godfit.inference.prior import PriorRows, prior_rows
 from godfit.inference.problem import Problem
 from godfit.models.base import AbstractModel, Values, Vector
 from godfit.runtime.blas import one_thread
@@ -78,10 +78,15 @@ class Tangent(NamedTuple):
         """The tangent of some of the levels."""
         return self._replace(prediction=self.prediction[rows], jacobian=self.jacobian[:, rows])
 
+    def at(self, by: np.ndarray, prediction: np.ndarray) -> Tangent:
+        """The tangent at coordinates that differ ``by`` (p,), where the levels are ``prediction``
+        (m,)."""
+        prior = None if self.prior is None else self.prior.moved(by / self.scale)
+        return self._replace(prediction=prediction, prior=prior)
+
     def shifted(self, by: np.ndarray) -> Tangent:
         """The tangent at coordinates that differ ``by`` (p,)."""
-        prior = None if self.prior is None else self.prior.moved(by / self.scale)
-        return self._replace(prediction=self.moved(by), prior=prior)
+        return self.at(by, self.moved(by))
 
     @property
     def log_prior(self) -> float:

@@ -1,8 +1,8 @@
 """A line of text in a PNG that says how its values were computed.
 
 A picture that this program renders differs from the model by the rounding of its levels alone. One
-from a GPU differs by more, see ``godfit/inference/arithmetic.py``. The chunk tEXt holds a keyword
-and a text (PNG, third edition, section 11.3.3.2).
+from a GPU differs by more, see ``godfit/inference/allowances``. The chunk tEXt holds a keyword and
+a text (PNG, third edition, section 11.3.3).
 """
 
 from __future__ import annotations

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from godfit.inference.allowances.prior import Prior
 from godfit.inference.estimates import Estimate
 from godfit.inference.evaluate import occlusion_of
 from godfit.inference.observation import Picture
-from godfit.inference.prior import Prior
 from godfit.inference.problem import Problem
 from godfit.io.image import LEVELS, decode, write_image
 from godfit.models.base import AbstractModel

@@ -14,7 +14,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from godfit.inference.arithmetic import with_arithmetic
+from godfit.inference.allowances.arithmetic import with_arithmetic
 from godfit.inference.distinct import DOUBT, distinct
 from godfit.inference.evaluate import predictions
 from godfit.inference.information import Evidence, evidence, misfit

@@ -10,9 +10,9 @@ import numpy as np
 
 from godfit.errors import Remark
 from godfit.inference import indirect_inference
+from godfit.inference.allowances.mask_rounding import with_mask_shifts
 from godfit.inference.fitted import Found
 from godfit.inference.information import evidence, undetermined
-from godfit.inference.mask_rounding import with_mask_shifts
 from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.problem import SEARCH_PIXELS, Problem, pixels_used
 from godfit.inference.settle import Settled, settle

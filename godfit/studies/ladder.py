@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from godfit.inference import sample_count
-from godfit.inference.arithmetic import with_arithmetic
+from godfit.inference.allowances.arithmetic import with_arithmetic
 from godfit.inference.distinct import DOUBT, distinct
 from godfit.inference.information import misfit
 from godfit.inference.noise import EXPLAINED, WITHIN_ROUNDING

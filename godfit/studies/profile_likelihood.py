@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from godfit.errors import LIKELIHOOD_INCOMPLETE, InputError
-from godfit.inference.arithmetic import with_arithmetic
+from godfit.inference.allowances.arithmetic import with_arithmetic
 from godfit.inference.information import evidence
 from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.observation import Observation

@@ -245,7 +245,7 @@ def test_gradient_of_a_light_far_off_the_axis():
     scene = stage(box, light=(3.2, 2.2, 0.6), radius=1.25, fov_y=95, size=(96, 128))
     found = gradient(scene)
     for key in ("light.position", "light.radius", "camera.position", "object[0].position"):
-        expected = differences(exact_loss, scene, key, 0.02)
+        expected = differences(exact_loss, scene, key, 0.01)
         largest = np.abs(expected).max()
         np.testing.assert_allclose(found.value(key), expected, rtol=0, atol=0.01 * largest)
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from godfit.errors import InputError
+from godfit.errors import InputError, shown
 from godfit.inference.evaluate import parameters_at
 from godfit.models.base import AbstractModel
 
@@ -65,12 +65,18 @@ def prior_rows(
     return PriorRows(excess / sigmas, slopes / sigmas[:, None])
 
 
-def check_prior(prior: Prior, model: AbstractModel, held: np.ndarray) -> None:
-    """Raise InputError for the prior of a parameter that the model does not fit, and for numbers
-    that are none."""
+def checked_prior(prior: Any, model: AbstractModel, held: np.ndarray) -> Prior:
+    """The priors as pairs of floats. Raises InputError for that of a parameter that the model does
+    not fit, and for what is no pair of numbers."""
+    try:
+        pairs = {str(name): (float(mean), float(sigma)) for name, (mean, sigma) in prior.items()}
+    except (AttributeError, TypeError, ValueError):
+        raise InputError(
+            f"prior: expected a mean and a standard deviation by name, got {shown(prior)}"
+        ) from None
     names = list(model.parameters)
     free = [n for n, on, at in zip(names, model.used, held, strict=True) if on and np.isnan(at)]
-    for name, (mean, sigma) in prior.items():
+    for name, (mean, sigma) in pairs.items():
         if name not in free:
             raise InputError(
                 f"prior: expected a parameter that is fitted, one of {', '.join(free)}, got "
@@ -81,3 +87,4 @@ def check_prior(prior: Prior, model: AbstractModel, held: np.ndarray) -> None:
                 f"prior: expected {name}=VALUE+-SIGMA with finite numbers and a SIGMA above 0, got "
                 f"{mean:g}+-{sigma:g}"
             )
+    return pairs

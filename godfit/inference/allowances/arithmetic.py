@@ -31,7 +31,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from godfit.inference.mask_rounding import rounded_texels
+from godfit.inference.allowances.mask_rounding import rounded_texels
 from godfit.inference.observation import EXACT, Observation
 from godfit.inference.problem import Problem
 from godfit.inference.solver import Tangent, tangent_at
