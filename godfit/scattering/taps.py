@@ -158,6 +158,11 @@ class Convention:
         return ("exposure",) if self.box else ("exposure", "decay", "density", "weight")
 
     @property
+    def plain(self) -> bool:
+        """Whether five numbers of one set of taps determine the light pass."""
+        return not self.box
+
+    @property
     def samples(self) -> int:
         """The shader's default number of samples."""
         return int(self.defaults.get("samples", UNPUBLISHED_SAMPLES))

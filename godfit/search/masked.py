@@ -27,7 +27,7 @@ from godfit.io.image import LEVELS
 from godfit.models.base import AbstractModel
 from godfit.models.mitchell import Mitchell
 from godfit.scattering.radial.exact import at_run_time
-from godfit.search import beyond_light, density_minima, multigrid, multistart
+from godfit.search import beyond_light, conventions, density_minima, multigrid, multistart
 
 RETRIED = 3
 """Starts from which a doubtful fit is tried once more, each alone."""
@@ -87,9 +87,13 @@ def search_mask(problem: Problem, given: dict[str, float], effort: Effort) -> Fo
     located = _of_better_size(located, given, effort)
     found = located.found
     if effort.inquire and problem.free.any() and problem.model.banded:
-        found = _doubted(located, given, effort)
+        found = conventions.questioned(found, effort)
+        if found.objection:
+            found = found.replaced(inquire=False)
+        else:
+            found = _doubted(located, given, effort)
     found = hold_open(found, given)
-    return indirect_inference.corrected(found) if effort.inquire else found
+    return indirect_inference.corrected(found) if found.inquire else found
 
 
 def _explained_by_another(problem: Problem, effort: Effort) -> Found | None:
