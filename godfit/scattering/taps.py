@@ -25,6 +25,8 @@ from godfit.errors import InputError
 
 Scalar = Float[Array, ""] | float
 
+AUTO = "auto"
+"""Stands for the convention that explains the picture best."""
 UNPUBLISHED_SAMPLES = 100
 """Samples of a shader that publishes no default: the most common of the published ones."""
 

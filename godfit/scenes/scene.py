@@ -25,13 +25,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from godfit.errors import InputError, shown
-from godfit.io.image import TRANSFERS
+from godfit.io.transfer import TRANSFERS, checked_transfer
 from godfit.io.sidecar import SIDECAR_SCATTERING
 from godfit.io.toml_table import Colour, Table
 from godfit.runtime.guest import own_settings
 from godfit.runtime.memory import check_memory
 from godfit.scattering.parameters import SCATTERING as PARAMETERS
-from godfit.scattering.taps import convention
+from godfit.scattering.taps import AUTO, convention
 from godfit.scenes import mesh
 from godfit.scenes.gltf_view import view_of
 from godfit.scenes.in_view import Frustum, why_not_in_view
@@ -372,9 +372,12 @@ def _setting(table: Table, key: str) -> Any:
     expected = SCATTERING_LIMITS.get(key)
     if expected and not expected[0] <= value <= expected[1]:
         raise table.error(key, f"from {expected[0]:g} to {expected[1]:g}", shown(value))
-    if key == "transfer" and value not in TRANSFERS:
-        raise table.error(key, " or ".join(map(repr, TRANSFERS)), shown(value))
-    if key == "shader":
+    if key == "transfer":
+        try:
+            checked_transfer(value)
+        except InputError:
+            raise table.error(key, " or ".join(map(repr, TRANSFERS)), shown(value)) from None
+    if key == "shader" and value != AUTO:
         try:
             convention(value)
         except InputError as error:

@@ -175,7 +175,7 @@ def _doubted(located: Located, given: dict[str, float], effort: Effort) -> Found
     def starts(picture):
         return starting_points(problem.replaced(picture=picture), given)
 
-    return found.replaced(remedy=multistart.remedy(found, starts))
+    return found.replaced(remedy=multistart.remedy(found, starts, effort.report))
 
 
 def _with_plateaus(own: Located, given: dict[str, float], effort: Effort) -> Located:
