@@ -22,10 +22,11 @@ from godfit.inference.fitted import Found
 from godfit.inference.problem import MAX_VALUES, Problem, checked_picture, given_and_held
 from godfit.inference.strategy import Effort, left_open, refined_mask, search
 from godfit.io.image import Image
-from godfit.io.sources import Source, occluder_mask, read_source, without_holes
+from godfit.io.sources import FLIPS, Source, occluder_mask, read_source, turned, without_holes
 from godfit.models.base import AbstractModel
 from godfit.models.build import mitchell_template, staged_template, template
 from godfit.models.mitchell import Mitchell
+from godfit.models.tinted import Tinted
 from godfit.report.result import FitResult
 from godfit.report.verdict import verdict
 from godfit.request import Request
@@ -38,6 +39,7 @@ from godfit.scenes.view import (
     light_on_screen,
     scene_at_pass_size,
 )
+from godfit.search import conventions
 
 NO_VALUES = np.zeros((0, 0), np.float32)
 """Stands for the values of an image of which only the file's name is still needed."""
@@ -65,6 +67,10 @@ def fit(
     start: Mapping[str, float] | None = None,
     valid: np.ndarray | None = None,
     transfer: str = "none",
+    flip: str | None = None,
+    border: str | None = None,
+    tint: bool = False,
+    register: bool = False,
     channels: int | None = None,
     inquire: bool = True,
     max_values: int = MAX_VALUES,
@@ -96,7 +102,8 @@ def fit(
     - `bright_pass`: without a mask, whether the light is all that is bright in the picture, as in a
       photograph, see `godfit.blind.photograph`.
     - `shader`, `samples`: a name in `godfit.scattering.taps.CONVENTIONS`, by default the scene's or
-      `"mitchell"`; its own default number of samples.
+      `"mitchell"`; its own default number of samples. `"auto"` is the convention that explains the
+      picture best, with its number of samples where none is given.
     - `rays`: of the light in the plane, for each pixel, by default 64.
     - `lights`: how many lights are summed; they start in order from left to right.
     - `pass_scale`: the size of the light pass against the mask's, at most 1. Where nothing gives it
@@ -109,7 +116,14 @@ def fit(
       are held there too.
     - `start`: parameters to start from. None is needed.
     - `valid`: (h, w), False where the target is to be ignored.
-    - `transfer`: `"none"` or `"srgb"`, how the target (and the background) were encoded.
+    - `transfer`: how the target (and the background) were encoded, see `godfit.io.transfer`:
+      `"none"`, `"srgb"`, a tone curve, a file with a curve, or several with + between them.
+    - `flip`: `"vertical"`, `"horizontal"` or `"both"` turns target, background and `valid` over.
+    - `border`: what the taps read beyond the mask's edge, `"edge"` (the nearest pixel) or
+      `"black"`.
+    - `tint`: whether the light has a colour: red and blue against green are fitted.
+    - `register`: whether shift and scale of the mask are fitted first, see
+      `godfit.search.registration`.
     - `channels`: 3 counts every channel of a grey picture. That costs time and adds no information,
       but makes likelihoods comparable with those of models that are never grey.
     - `inquire`: where the residual is not noise, whether to try other starts, to correct the bias
@@ -128,7 +142,8 @@ def fit(
             target=target, mask=mask, scene=scene, canvas=canvas, model=model, free=tuple(free),
             background=background, occluder=occluder, bright_pass=bright_pass, shader=shader,
             samples=samples, rays=rays, lights=lights, pass_scale=pass_scale, fov=fov,
-            distance=distance, fix=fix, start=start, valid=valid, transfer=transfer,
+            distance=distance, fix=fix, start=start, valid=valid, transfer=transfer, flip=flip,
+            border=border, tint=tint, register=register,
             channels=channels, inquire=inquire, max_values=max_values, seed=seed,
             progress=progress,
         ).checked()  # fmt: skip
@@ -164,13 +179,47 @@ def found_for(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     its verdict."""
     if request.bare:
         return _fit_bare(request)
+    request, found_out = _with_shader(request)
     posed = _ready(request)
     effort = Effort(request.inquire, request.max_values, request.report, _rival(request, posed))
     found = search(posed.problem.model, posed.problem, posed.given, effort)
     found = found.replaced(
         opened=posed.opened + found.opened, pass_scale=_scale_of(found, request, posed)
     )
-    return found, posed.notes + found.notes, posed.images
+    return found, found_out + posed.notes + found.notes, posed.images
+
+
+def _with_shader(request: Request) -> tuple[Request, tuple[str, ...]]:
+    """The request with the convention and the number of samples that explain the picture best where
+    the shader is to be found, and notes on that; as it is where the shader is named."""
+    if not request.automatic:
+        return request, ()
+    general = dataclasses.replace(request, shader=conventions.GENERAL_SUM, tint=False)
+    if request.free:
+        words = f"shader: {conventions.GENERAL_SUM} assumed; with --free give --shader"
+        return general, (Remark(words, "shader"),)
+    posed = _ready(general)
+    picture, rival = posed.problem.picture, None
+    if "pass_scale" not in request.settings and picture.mask.shape[:2] == picture.size:
+
+        def rival() -> Problem:
+            small = dataclasses.replace(general, pass_scale=conventions.SMALLER_PASS)
+            return _ready(small).problem
+
+    effort = Effort(request.inquire, request.max_values, request.report, rival)
+    samples = request.settings.get("samples")
+    ranked = conventions.identified(posed.problem, posed.given, effort, samples)
+    best = ranked[0]
+    name, start = best.names[0], dict(request.start or {})
+    given = start | {n: v for n, v in request.held_at.items() if v is not None}
+    start = {n: v for n, v in conventions.start_of(best, name).items() if n not in given} | start
+    scale = request.pass_scale
+    if best.problem.picture.mask.shape[:2] != picture.mask.shape[:2]:
+        scale = conventions.SMALLER_PASS
+    request = dataclasses.replace(
+        request, shader=name.shader, samples=name.samples, start=start, pass_scale=scale
+    )
+    return request, (conventions.ranking(ranked),)
 
 
 def _fit_bare(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image]]:
@@ -196,7 +245,7 @@ def _fit_bare(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
 def _target_of(request: Request) -> Image:
     """The target, zero where it is not finite and ignored."""
     target = read_source(request.target, request.transfer, "target", finite=False)
-    return without_holes(target, request.valid)
+    return turned(without_holes(target, request.valid), request.flip)
 
 
 class Posed(NamedTuple):
@@ -245,9 +294,13 @@ def _pose(request: Request) -> Posed:
             model = staged_template(model, scene, request.free)
             start = {name: value for name, value in start.items() if name in model.parameters}
         if request.background is not None:
-            images["background"] = read_source(request.background, request.transfer, "background")
+            back = read_source(request.background, request.transfer, "background")
+            images["background"] = turned(back, request.flip)
+        valid = request.valid
+        if valid is not None and request.flip is not None:
+            valid = np.flip(valid, FLIPS[request.flip][1])
         picture = checked_picture(
-            images["target"], images["mask"], images.get("background"), request.valid, pass_scale,
+            images["target"], images["mask"], images.get("background"), valid, pass_scale,
             request.channels or model.channels,
         )  # fmt: skip
     images = {role: dataclasses.replace(im, values=NO_VALUES) for role, im in images.items()}
@@ -289,7 +342,7 @@ def _rival(request: Request, posed: Posed) -> Callable[[], Problem] | None:
     """The same problem with a light pass of its shader's own scale, where nothing says which the
     target has: neither an option nor a file, nor a mask smaller than the target."""
     model, picture = posed.problem.model, posed.problem.picture
-    if not isinstance(model, Mitchell) or "pass_scale" in request.settings:
+    if not isinstance(model, (Mitchell, Tinted)) or "pass_scale" in request.settings:
         return None
     scale = model.convention.pass_scale
     if scale == 1 or picture.mask.shape[:2] != picture.size:
@@ -302,7 +355,7 @@ def _scale_of(found: Found, request: Request, posed: Posed) -> float | None:
     if request.canvas is not None:
         return None
     model, own = found.problem.model, posed.problem.picture.mask.shape[:2]
-    if isinstance(model, Mitchell) and found.problem.picture.mask.shape[:2] != own:
+    if isinstance(model, (Mitchell, Tinted)) and found.problem.picture.mask.shape[:2] != own:
         return model.convention.pass_scale
     return request.settings.get("pass_scale", 1.0)
 

@@ -34,7 +34,8 @@ FIT_BYTES = 110
 """Memory that a fit takes a pixel, in bytes: the difference between 1920x1080 and 512x512 pixels
 (docs/measured.md)."""
 PROGRAM_SETTINGS = {
-    "model", "shader", "samples", "lights", "pass_scale", "transfer", "bright_pass",
+    "model", "shader", "samples", "lights", "pass_scale", "transfer", "bright_pass", "border",
+    "tint",
 }  # fmt: skip
 """Options that change which programs are compiled."""
 
@@ -197,7 +198,7 @@ def prepare(
 
     if size:
         check_memory(FIT_BYTES * size[0] * size[1], f"target: {size[1]}x{size[0]} pixels")
-    if "scene" in options:
+    if isinstance(options.get("scene"), str):
         from godfit.scenes.scene import read_scene
 
         progress("loading meshes")
@@ -213,11 +214,13 @@ def prepare(
 
 def warn_of_defaults(options: Mapping[str, Any]) -> None:
     """Warn of a shader or a number of samples that was not given."""
-    from godfit.scattering.taps import convention
+    from godfit.scattering.taps import AUTO, convention
 
     settings = {**options["scene"].settings, **options} if "scene" in options else options
     if "shader" not in settings:
         warn("no shader given: 'mitchell' assumed; see `godfit shaders`")
+    if settings.get("shader") == AUTO:
+        return
     shader = convention(settings.get("shader", "mitchell"))
     if "samples" not in settings and "samples" not in shader.defaults:
         warn(f"{shader.name} publishes no default: {shader.samples} samples assumed")

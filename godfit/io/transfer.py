@@ -164,7 +164,11 @@ def _curve_of(name: str) -> str:
     key = f"{name}#{hashlib.sha256(data).hexdigest()[:HASH_DIGITS]}"
     if key not in _files:
         points = _points_of(name, data)
-        if len(points) < 2 or not np.isfinite(points).all() or not (np.diff(points, axis=0) > 0).all():
+        if (
+            len(points) < 2
+            or not np.isfinite(points).all()
+            or not (np.diff(points, axis=0) > 0).all()
+        ):
             raise InputError(
                 f"{name}: expected a curve that rises from each point to the next, got "
                 f"{len(points)} points that do not; give pairs of linear and encoded values"
@@ -183,7 +187,9 @@ def _points_of(name: str, data: bytes) -> np.ndarray:
             return _points_of_cube(name, text)
         rows = [re.split(r"[,;\s]+", line.strip()) for line in text.splitlines() if line.strip()]
         try:
-            array = np.array([[float(number) for number in row] for row in rows if row[0][0] != "#"])
+            array = np.array(
+                [[float(number) for number in row] for row in rows if row[0][0] != "#"]
+            )
         except ValueError:
             raise InputError(
                 f"{name}: expected lines with a linear and an encoded value, got others"

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy import optimize
 
-from godfit.errors import Remark
+from godfit.errors import InputError, Remark
 from godfit.io.arrays import as_light
 from godfit.models.base import FAINTEST, AbstractModel, Vector
 from godfit.models.coordinates import DENSITY, EXPOSURE, GAIN, KAPPA, SCATTERING_COUNT
@@ -40,6 +40,8 @@ DENSITY_TOLERANCE = 1e-9
 AT_SLIDER_END = 1e-3
 """Distance of a density from the end of a slider within which it is that end: a tenth of the step
 of the published ones."""
+EDGE, BLACK = "edge", "black"
+"""What a shader's reads beyond the mask's edge return: the nearest pixel, or black."""
 TINY_DECAY = 1e-12
 """Least decay in the logarithm of ``resampled``: a decay of 0 has none."""
 TINY_SUM = 1e-30
@@ -51,7 +53,8 @@ class Mitchell(AbstractModel):
 
     ``exposure``, ``decay``, ``density`` and ``weight`` are the shader's; ``light`` is (lights, 2)
     in texture coordinates. Several lights are a sum over lights. ``samples`` is an integer and is
-    not differentiated.
+    not differentiated. ``border`` is what the taps read beyond the mask's edge: ``"edge"``, the
+    nearest pixel, or ``"black"``.
 
     Fit coordinates (one for each parameter, in order): exposure; kappa = -samples ln(decay) /
     density, the attenuation for each unit of ray; density; gain = exposure weight samples /
@@ -71,13 +74,17 @@ class Mitchell(AbstractModel):
     light: Float[Array, "lights 2"]
     shader: str = eqx.field(static=True, default="mitchell")
     samples: Count = 100
+    border: str = eqx.field(static=True, default=EDGE)
 
-    def __init__(self, exposure, decay, density, weight, light, shader="mitchell", samples=None):
+    def __init__(
+        self, exposure, decay, density, weight, light, shader="mitchell", samples=None, border=EDGE
+    ):
         self.exposure, self.decay = on_device(exposure, float), on_device(decay, float)
         self.density, self.weight = on_device(density, float), on_device(weight, float)
         self.light = on_device(light, float).reshape(-1, 2)
         self.shader = convention(shader).name
         self.samples = at_run_time(convention(shader).samples if samples is None else samples)
+        self.border = border
 
     @property
     def convention(self) -> Convention:
@@ -86,7 +93,8 @@ class Mitchell(AbstractModel):
 
     @property
     def settings(self) -> dict[str, str | int | float]:
-        return {"shader": self.shader, "samples": self.samples}
+        border = {} if self.border == EDGE else {"border": self.border}
+        return {"shader": self.shader, "samples": self.samples, **border}
 
     @property
     def parameters(self) -> dict[str, Parameter]:
@@ -179,10 +187,32 @@ class Mitchell(AbstractModel):
         for light in self.light:
             image = 1 - mask if shader.box else mask
             for taps in passes[:-1]:
-                image = radial_sum(image, light, taps, method=method)
-            image = radial_sum(image, light, passes[-1], at=at, method=method)
+                image = self._summed(image, light, taps, None, method)
+            image = self._summed(image, light, passes[-1], at, method)
             total += self.exposure * (1 - image) if shader.box else image
         return jnp.asarray(total)
+
+    def _summed(
+        self,
+        image: Any,
+        light: Float[Array, "2"],
+        taps: Taps,
+        at: Float[Array, "*points 2"] | None,
+        method: str,
+    ) -> Float[Array, "..."]:
+        """The radial sum of ``image``, which beyond its edge is its edge or black."""
+        if self.border == EDGE:
+            return radial_sum(image, light, taps, at=at, method=method)
+        if taps.unit != "ray":
+            raise InputError(f"border: expected {EDGE} with {self.shader}, got {self.border}")
+        # One ring of black pixels: beyond it, the edge that is repeated is black.
+        h, w = image.shape[:2]
+        framed = jnp.pad(image, ((1, 1), (1, 1), *[(0, 0)] * (image.ndim - 2)))
+        size = jnp.array([w, h], light.dtype)
+        moved = (light * size + 1) / (size + 2)
+        if at is not None:
+            return radial_sum(framed, moved, taps, at=at + 1, method=method)
+        return radial_sum(framed, moved, taps, method=method)[1:-1, 1:-1]
 
     def __call__(
         self,

@@ -31,6 +31,7 @@ SCHEMA = 2
 and notes are objects; both layouts are read."""
 MODEL_SETTINGS = (
     "model", "shader", "samples", "rays", "phase", "fov", "distance", "pass_scale",
+    "border",
 )  # fmt: skip
 """Keys of fit.json that describe the model and its light pass and are not fitted."""
 
@@ -62,7 +63,7 @@ FIT_SCHEMA: dict[str, Any] = {
                 "properties": {"path": _TEXT, "sha256": _TEXT},
             },
         },
-        **dict.fromkeys(("model", "shader", "phase", "transfer"), _TEXT),
+        **dict.fromkeys(("model", "shader", "phase", "transfer", "border"), _TEXT),
         **{key: {"type": "integer", "minimum": 1, "maximum": 10**6} for key in ("samples", "rays")},
         **dict.fromkeys(("fov", "distance"), _NUMBER),
         **dict.fromkeys(("size", "pass_size"), _SIDES),

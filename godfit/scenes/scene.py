@@ -25,9 +25,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from godfit.errors import InputError, shown
-from godfit.io.transfer import TRANSFERS, checked_transfer
 from godfit.io.sidecar import SIDECAR_SCATTERING
 from godfit.io.toml_table import Colour, Table
+from godfit.io.transfer import TRANSFERS, checked_transfer
 from godfit.runtime.guest import own_settings
 from godfit.runtime.memory import check_memory
 from godfit.scattering.parameters import SCATTERING as PARAMETERS

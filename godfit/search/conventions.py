@@ -53,8 +53,8 @@ NUMBERS_TRIED = 3
 """Numbers of taps that the bands suggest and that are tried, each with and without own pixel."""
 TIED = 3.0
 """Difference in log-likelihood within which two conventions are tied: odds of twenty."""
-FAINT_LEVELS = 0.02
-"""Levels of the pixel's own value, at most, where a picture has none: a twentieth of rounding."""
+SMALLER_PASS = 0.5
+"""Size of a smaller light pass against the mask: that of every engine that has one by default."""
 
 
 class Form(NamedTuple):
@@ -256,18 +256,35 @@ def identified(
     problem: Problem, given: dict[str, float], effort: Effort, samples: int | None = None
 ) -> list[Explained]:
     """Every convention that could have made the picture of a ``problem`` of the general sum, best
-    first. Those that are no single sum are tried where no sum explains the picture."""
+    first. Where no sum over the whole mask explains it, the rival's smaller light pass is tried,
+    and where none does so either, conventions that are no single sum."""
+    found = _sums(problem, given, effort, samples)
+    if effort.rival is not None and not _is_explained(found):
+        effort.report("a smaller light pass")
+        found += _sums(effort.rival(), given, effort, samples)
+        found.sort(key=lambda e: -e.score)
+    if not _is_explained(found):
+        composed = [shader for shader in CONVENTIONS.values() if form_of(shader) is None]
+        found += [_composed(problem, given, shader, effort) for shader in composed]
+    return sorted(found, key=lambda e: -e.score)
+
+
+def _sums(
+    problem: Problem, given: dict[str, float], effort: Effort, samples: int | None
+) -> list[Explained]:
+    """The picture by every convention that is one sum, best first."""
     starts = starting_points(problem, given)
     if not problem.free.any():
         begin = starts[0]
     else:
         begin = multigrid.climb(problem.small, starts, effort.report, stages=stages(problem.model))
         begin = density_minima.on_subset(problem, begin.coordinates, effort.report)[0]
-    found = Comparison(problem, begin).all(effort.report, samples)
-    if found and found[0].settled.sigma > WITHIN_ROUNDING and not _like_noise(found[0]):
-        composed = [shader for shader in CONVENTIONS.values() if form_of(shader) is None]
-        found += [_composed(problem, given, shader, effort) for shader in composed]
-    return sorted(found, key=lambda e: -e.score)
+    return Comparison(problem, begin).all(effort.report, samples)
+
+
+def _is_explained(found: list[Explained]) -> bool:
+    """Whether the best leaves no more than rounding or noise."""
+    return bool(found) and (found[0].settled.sigma <= WITHIN_ROUNDING or _like_noise(found[0]))
 
 
 def _like_noise(explained: Explained) -> bool:

@@ -26,6 +26,7 @@ from godfit.inference.strategy import (
 from godfit.io.image import LEVELS
 from godfit.models.base import AbstractModel
 from godfit.models.mitchell import Mitchell
+from godfit.models.tinted import Tinted
 from godfit.scattering.radial.exact import at_run_time
 from godfit.search import beyond_light, conventions, density_minima, multigrid, multistart
 
@@ -58,6 +59,11 @@ SMALLER_SIZE = (
 @search.register
 def _(model: AbstractModel, problem: Problem, given: dict[str, float], effort: Effort) -> Found:
     return search_mask(problem, given, effort)
+
+
+@left_open.register
+def _(model: Tinted, problem: Problem) -> Open | None:
+    return left_open(model.shading, problem)
 
 
 @left_open.register

@@ -25,6 +25,7 @@ from godfit.inference.settle import Settled, settle
 from godfit.inference.strategy import Report
 from godfit.io.filters import shrink
 from godfit.io.image import LEVELS, decode, encode
+from godfit.io.sources import FLIPS
 from godfit.models.mitchell import Mitchell
 from godfit.search import multigrid
 
@@ -52,12 +53,6 @@ GREY = 0.01
 
 Starts = Callable[[Picture], list[np.ndarray]]
 """Starting points for a picture."""
-FLIPS = {
-    "vertical": ("upside down", (0,)),
-    "horizontal": ("mirrored", (1,)),
-    "both": ("turned by 180 degrees", (0, 1)),
-}
-"""How a target may be turned against its mask, by the value of --flip: in words, and the axes."""
 
 
 class Suspect(NamedTuple):
@@ -223,7 +218,9 @@ class Trial:
         picture = self.small.picture
         tint = tint_of(picture)
         if tint is not None:
-            words = "the light has a colour, {:.3g} : {:.3g} : {:.3g}, and the mask has none; --tint "
+            words = (
+                "the light has a colour, {:.3g} : {:.3g} : {:.3g}, and the mask has none; --tint "
+            )
             words = words.format(*tint) + "fits it"
             yield self._tried(Suspect("tint", words, untinted(picture, tint)))
 
@@ -273,9 +270,7 @@ class Trial:
             return ndimage.zoom(small, zoom, order=1, mode="nearest", grid_mode=True)
 
         words = diagnostics.WORDS["upsampled"].format(scale=scale)
-        yield Tried(
-            self._corrected(smaller), Suspect("upsampled", words, self.problem.picture)
-        )
+        yield Tried(self._corrected(smaller), Suspect("upsampled", words, self.problem.picture))
 
     def _corrected(self, change: Callable[[np.ndarray], np.ndarray]) -> float:
         """The noise that is left where the target has had ``change`` done to it: the target is
@@ -305,7 +300,9 @@ class Trial:
                 picture, levels=levels, background=np.zeros_like(back), rounding=(wide, wide),
                 valid=picture.valid & (back < 1 - DARK_REST).all(-1) & ~picture.clipped,
             )  # fmt: skip
-            words = "the light pass was blended with the background by screen, as pmndrs does; give "
+            words = (
+                "the light pass was blended with the background by screen, as pmndrs does; give "
+            )
             words += "a --shader that does"
             yield self._tried(Suspect("background", words, other.small))
         gain, z, sigma = 1.0, self.found.settled.coordinates, np.inf
@@ -321,7 +318,9 @@ class Trial:
         if abs(gain - 1) > GAIN_CHANGE:
             whole = gain * model.convention.background_gain
             words = f"the background has a gain of {whole:.3g}, where {model.shader} has "
-            words += f"{model.convention.background_gain:g}; give a --shader or --background with it"
+            words += (
+                f"{model.convention.background_gain:g}; give a --shader or --background with it"
+            )
             yield Tried(sigma, Suspect("background", words, other))
 
 
@@ -342,4 +341,3 @@ def suspected(found: Found, starts: Starts, report: Report) -> diagnostics.Suspe
         return None
     explained = f"(noise of {best.sigma:.2g} levels in place of {trial.own:.2g})"
     return diagnostics.Suspect(1.0, best.suspect.code, f"{best.suspect.words} {explained}")
-
