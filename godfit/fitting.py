@@ -39,7 +39,7 @@ from godfit.scenes.view import (
     light_on_screen,
     scene_at_pass_size,
 )
-from godfit.search import conventions
+from godfit.search import conventions, registration
 
 NO_VALUES = np.zeros((0, 0), np.float32)
 """Stands for the values of an image of which only the file's name is still needed."""
@@ -184,7 +184,9 @@ def found_for(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     effort = Effort(request.inquire, request.max_values, request.report, _rival(request, posed))
     found = search(posed.problem.model, posed.problem, posed.given, effort)
     found = found.replaced(
-        opened=posed.opened + found.opened, pass_scale=_scale_of(found, request, posed)
+        opened=posed.opened + found.opened,
+        shifts=found.shifts + posed.shifts,
+        pass_scale=_scale_of(found, request, posed),
     )
     return found, found_out + posed.notes + found.notes, posed.images
 
@@ -199,14 +201,15 @@ def _with_shader(request: Request) -> tuple[Request, tuple[str, ...]]:
         words = f"shader: {conventions.GENERAL_SUM} assumed; with --free give --shader"
         return general, (Remark(words, "shader"),)
     posed = _ready(general)
-    picture, rival = posed.problem.picture, None
-    if "pass_scale" not in request.settings and picture.mask.shape[:2] == picture.size:
+    picture = posed.problem.picture
 
-        def rival() -> Problem:
-            small = dataclasses.replace(general, pass_scale=conventions.SMALLER_PASS)
-            return _ready(small).problem
+    def rival() -> Problem:
+        small = dataclasses.replace(general, pass_scale=conventions.SMALLER_PASS, register=False)
+        return _ready(small).problem
 
-    effort = Effort(request.inquire, request.max_values, request.report, rival)
+    whole = picture.mask.shape[:2] == picture.size and posed.unregistered is None
+    either = whole and "pass_scale" not in request.settings
+    effort = Effort(request.inquire, request.max_values, request.report, rival if either else None)
     samples = request.settings.get("samples")
     ranked = conventions.identified(posed.problem, posed.given, effort, samples)
     best = ranked[0]
@@ -250,7 +253,8 @@ def _target_of(request: Request) -> Image:
 
 class Posed(NamedTuple):
     """A problem ready to be solved: parameters ``given`` by name, notes, the images by role without
-    their values, and the scene that the mask was drawn from; ``opened`` as in ``Found``."""
+    their values, and the scene that the mask was drawn from; ``opened`` and ``shifts`` as in
+    ``Found``; the mask as it was given, ``unregistered``, where it is to be registered."""
 
     problem: Problem
     given: dict[str, float]
@@ -258,6 +262,8 @@ class Posed(NamedTuple):
     images: dict[str, Image]
     scene: Scene | None
     opened: tuple[tuple[int, list[int]], ...] = ()
+    unregistered: np.ndarray | None = None
+    shifts: tuple[np.ndarray, ...] = ()
 
 
 def _pose(request: Request) -> Posed:
@@ -266,6 +272,7 @@ def _pose(request: Request) -> Posed:
     settings, scene, notes = request.settings, request.scene, ()
     images = {"target": _target_of(request)}
     pass_scale, start = settings.get("pass_scale", 1.0), dict(request.start or {})
+    unregistered = None
     model: AbstractModel
     if request.canvas is not None:
         request.report("rays")
@@ -299,6 +306,7 @@ def _pose(request: Request) -> Posed:
         valid = request.valid
         if valid is not None and request.flip is not None:
             valid = np.flip(valid, FLIPS[request.flip][1])
+        unregistered = _to_register(request, images, pass_scale)
         picture = checked_picture(
             images["target"], images["mask"], images.get("background"), valid, pass_scale,
             request.channels or model.channels,
@@ -307,7 +315,27 @@ def _pose(request: Request) -> Posed:
     given, held = given_and_held(model, request.held_at, start)
     free = np.isnan(held) & model.used
     assert scene is None or isinstance(scene, Scene)
-    return Posed(Problem(model, picture, free, held, request.seed), given, notes, images, scene)
+    problem = Problem(model, picture, free, held, request.seed)
+    return Posed(problem, given, notes, images, scene, unregistered=unregistered)
+
+
+def _to_register(
+    request: Request, images: dict[str, Image], pass_scale: float
+) -> np.ndarray | None:
+    """The mask, where it is to be registered; the image is then of the target's size. None where
+    it is taken as it is."""
+    mask, size = images["mask"].values, images["target"].values.shape[:2]
+    if request.mask is None or pass_scale != 1:
+        if request.register:
+            raise InputError("register: expected no --pass-scale with it; leave one of them out")
+        return None
+    if request.register:
+        registration.check_registered(mask.shape, size)
+    elif not registration.may_register(mask.shape, size, asked=False):
+        return None
+    resized = registration.fitted_size(mask, size)
+    images["mask"] = dataclasses.replace(images["mask"], values=resized)
+    return mask
 
 
 def _mask_of(scene: Scene, model: AbstractModel, moves: bool) -> np.ndarray:
@@ -335,7 +363,12 @@ def _ready(request: Request) -> Posed:
     if posed.scene is not None:
         picture = refined_mask(problem.model, problem, posed.scene, posed.given, request.report)
         problem = problem.replaced(picture=picture)
-    return posed._replace(problem=problem, notes=notes, opened=always_open)
+    shifts: tuple[np.ndarray, ...] = ()
+    if posed.unregistered is not None:
+        moved = registration.registered(problem, posed.unregistered, posed.given, request.report)
+        problem, shifts = problem.replaced(picture=moved.picture), moved.shifts
+        notes += (moved.note,)
+    return posed._replace(problem=problem, notes=notes, opened=always_open, shifts=shifts)
 
 
 def _rival(request: Request, posed: Posed) -> Callable[[], Problem] | None:

@@ -124,13 +124,14 @@ def checked_picture(
     if h > height or w > width:
         raise InputError(
             f"mask: expected at most the target's {width}x{height} pixels, got {w}x{h}; "
-            "scale the mask down or give the target at full size"
+            "scale the mask down, give the target at full size, or fit shift and scale with "
+            "--register"
         )
     # A pass at a fraction of an odd size is rounded to whole pixels: one pixel either way.
     if abs(w * height - h * width) > max(width, height):
         raise InputError(
             f"mask: expected the target's aspect {width}:{height}, got {w}:{h}; "
-            "crop or render the mask for the same frame"
+            "crop or render the mask for the same frame, or fit shift and scale with --register"
         )
     if valid is not None and not valid.any():
         raise InputError("ignore: expected pixels to be left, got all of them ignored; ignore less")

@@ -120,16 +120,14 @@ def other_samples(model: Mitchell, picture: Picture, seed: int = 0) -> Mitchell 
     )
 
 
-def spacings(
-    model: Mitchell, picture: Picture, own: bool, seed: int = 0
-) -> list[tuple[float, Spacing]]:
-    """The spacings of the ``FINE_SPACINGS`` best numbers of samples, with or without the pixel's
-    ``own`` value, each with its mean square residual in levels, best first. Empty where the bands
+def spacings(model: Mitchell, picture: Picture, seed: int = 0) -> list[tuple[float, Spacing]]:
+    """The spacings of the ``FINE_SPACINGS`` best numbers of samples, each with its mean square
+    residual in levels, best first; the pixel's own value may have any weight. Empty where the bands
     cannot be scanned: for several lights, a background or a target that is encoded."""
     if picture.background is not None or picture.transfer != "none" or len(model.light) != 1:
         return []
-    coarse = _Scan(model, picture, SPACING_PIXELS, seed, own)
-    fine = _Scan(model, picture, FINE_SPACING_PIXELS, seed, own)
+    coarse = _Scan(model, picture, SPACING_PIXELS, seed, own=True)
+    fine = _Scan(model, picture, FINE_SPACING_PIXELS, seed, own=True)
     least = FEWEST_SAMPLES + model.convention.drop
     tried = [taps for n in range(least, MOST_SAMPLES + 1) for taps in _about(model, n)]
     numbers: list[int] = []

@@ -97,15 +97,15 @@ HABLE_WHITE = 11.2
 CURVES: dict[str, Any] = {
     "srgb": Srgb(),
     # Reinhard et al., Photographic Tone Reproduction for Digital Images (2002), equation 3.
-    "reinhard": Rational(0, 1, 0, 0, 1, 1),
+    "reinhard": Rational(0.0, 1.0, 0.0, 0.0, 1.0, 1.0),
     # Narkowicz, ACES Filmic Tone Mapping Curve (2015).
-    "aces": Rational(2.51, 0.03, 0, 2.43, 0.59, 0.14),
+    "aces": Rational(2.51, 0.03, 0.0, 2.43, 0.59, 0.14),
     # Hill's fit of ACES with the exposure of three.js, which divides by .6, for greys.
     "aces-hill": _scaled(
-        Rational(1, 0.0245786, -0.000090537, 0.983729, 0.4329510, 0.238081), 1 / 0.6, 1
+        Rational(1.0, 0.0245786, -0.000090537, 0.983729, 0.432951, 0.238081), 1 / 0.6, 1.0
     ),
     # Hable, Uncharted 2: HDR Lighting (GDC 2010), with its exposure bias of 2.
-    "filmic": _scaled(HABLE, 2, 1 / float(HABLE.encode(np.float64(HABLE_WHITE), np))),
+    "filmic": _scaled(HABLE, 2.0, 1 / float(HABLE.encode(np.float64(HABLE_WHITE), np))),
 }
 """Curves from linear to encoded values, by name."""
 TRANSFERS = ("none", *CURVES)
@@ -133,8 +133,8 @@ def checked_transfer(transfer: str) -> str:
 
 
 def decode(x: Any, transfer: str) -> Any:
-    """Encoded -> linear, elementwise on a numpy or jax float array. Raises InputError for an unknown
-    transfer."""
+    """Encoded -> linear, elementwise on a numpy or jax float array. Raises InputError for an
+    unknown transfer."""
     for curve in reversed(_parts(transfer)):
         x = curve.decode(x, x.__array_namespace__())
     return x

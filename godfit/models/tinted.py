@@ -103,3 +103,6 @@ class TintedMask(Tinted):
     """The same under a mask that is known, whose edges leave bands in the image."""
 
     banded: ClassVar[bool] = True
+
+    def __init__(self, shading: Mitchell, tint=(1.0, 1.0)):
+        super().__init__(shading, tint)

@@ -29,6 +29,7 @@ from godfit.inference.settle import Settled, settle
 from godfit.inference.strategy import Effort, Report, stages, starting_points
 from godfit.io.jpeg import was_jpeg
 from godfit.models.build import mitchell_template
+from godfit.models.coordinates import DENSITY
 from godfit.models.mitchell import Mitchell, resampled
 from godfit.scattering.radial.exact import at_run_time
 from godfit.scattering.taps import CONVENTIONS, Convention, convention
@@ -69,7 +70,7 @@ class Form(NamedTuple):
 
     @property
     def free(self) -> int:
-        """How many of the four are free; the own pixel's absence leaves no weight relative to it."""
+        """How many of the four are free; without an own pixel, no weight is relative to it."""
         without_own = 1 if self.own == 0 else 0
         return sum(number is None for number in self) - without_own
 
@@ -194,21 +195,29 @@ class Comparison:
         """Every form, each with the numbers of taps that its shaders have by default and those that
         the bands suggest, or with ``samples`` alone where these are given; best first."""
         report("other conventions")
-        tried: dict[tuple[Form, int], Mitchell] = {}
         drop = self.general.drop
-        for form, shaders in self.forms.items():
-            for count in {count_of(shader, samples or shader.samples) for shader in shaders}:
-                tried[form, count] = resampled(self.model, count + drop)
-        picture, seed = self.problem.picture, self.problem.seed
-        for own in {form.own != 0 for form in self.forms} if samples is None else ():
-            ranked = sample_count.spacings(self.model, picture, own, seed)[:NUMBERS_TRIED]
-            for _, taps in ranked:
+        defaults = {
+            (form, count_of(shader, samples or shader.samples))
+            for form, shaders in self.forms.items()
+            for shader in shaders
+        }
+        resized = {n: resampled(self.model, n + drop) for _, n in defaults}
+        found = [self.explained(form, resized[n]) for form, n in sorted(defaults, key=repr)]
+        explained = [e for e in found if e is not None]
+        least = min((e.settled.sigma for e in explained), default=np.inf)
+        if samples is None and least > density_minima.IMPROVABLE_NOISE:
+            report("other numbers of samples")
+            picture, seed = self.problem.picture, self.problem.seed
+            # With the pixel's own value free, sums without it are among those that are ranked.
+            for _, taps in sample_count.spacings(self.model, picture, seed)[:NUMBERS_TRIED]:
                 spaced = _spaced(self.model, taps)
-                for form in self.forms:
-                    if (form.own != 0) == own:
-                        tried[form, taps.samples - drop] = spaced
-        found = [self.explained(form, model) for (form, _), model in tried.items()]
-        return sorted((e for e in found if e is not None), key=lambda e: -e.score)
+                found = [
+                    self.explained(form, spaced)
+                    for form in self.forms
+                    if (form, taps.samples - drop) not in defaults
+                ]
+                explained += [e for e in found if e is not None]
+        return sorted(explained, key=lambda e: -e.score)
 
 
 def _translated(model: Mitchell, shader: Convention) -> Mitchell:
@@ -246,7 +255,7 @@ def _fixed(form: Form, shader: Convention, count: int) -> dict[str, float] | Non
 def _spaced(model: Mitchell, taps: sample_count.Spacing) -> Mitchell:
     """``model`` with other taps, of the same attenuation and light along the ray."""
     z = np.array(model.coordinates(), np.float32)
-    z[2] = taps.step * taps.samples
+    z[DENSITY] = taps.step * taps.samples
     other = dataclasses.replace(model, samples=at_run_time(taps.samples)).moved(z)
     assert isinstance(other, Mitchell)
     return other

@@ -211,7 +211,8 @@ def tinted_starts(
     green = 3 / (tint[0] + 1 + tint[2])
     for start in found:
         start[[EXPOSURE, GAIN]] *= np.float32(green)
-    ends = [given.get(row.name, t) for row, t in zip(TINT_PARAMETERS, tint[[0, 2]], strict=True)]
+    own = zip(TINT_PARAMETERS, tint[[0, 2]].tolist(), strict=True)
+    ends = np.array([given.get(row.name, t) for row, t in own])
     return [np.append(start, ends).astype(np.float32) for start in found]
 
 

@@ -248,7 +248,7 @@ class Trial:
             words = f"the target was blurred after the light pass, by a Gaussian of {blur:g} pixels"
             words += "; give the picture before that"
 
-            def blurred(full, blur=blur):
+            def blurred(full: np.ndarray, blur: float = blur) -> np.ndarray:
                 return ndimage.gaussian_filter(full, (blur, blur, 0), mode="nearest")
 
             yield Tried(self._corrected(blurred), Suspect("blurred", words, picture))
@@ -264,10 +264,10 @@ class Trial:
             return
         scale = 1 / factor
 
-        def smaller(full):
+        def smaller(full: np.ndarray) -> np.ndarray:
             small = shrink(full, (h // factor, w // factor))
             zoom = (h / small.shape[0], w / small.shape[1], 1)
-            return ndimage.zoom(small, zoom, order=1, mode="nearest", grid_mode=True)
+            return np.asarray(ndimage.zoom(small, zoom, order=1, mode="nearest", grid_mode=True))
 
         words = diagnostics.WORDS["upsampled"].format(scale=scale)
         yield Tried(self._corrected(smaller), Suspect("upsampled", words, self.problem.picture))
@@ -332,7 +332,8 @@ def suspected(found: Found, starts: Starts, report: Report) -> diagnostics.Suspe
         h, w = found.problem.picture.size
         words = (
             f"the target consists of {side}x{side} blocks of equal pixels: its light pass of "
-            f"{w // side}x{h // side} pixels was enlarged by nearest neighbour; give it at that size"
+            f"{w // side}x{h // side} pixels was enlarged by nearest neighbour; give it at that "
+            "size"
         )
         return diagnostics.Suspect(1.0, "nearest", words)
     trial = Trial(found, starts, report)
