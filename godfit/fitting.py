@@ -377,6 +377,8 @@ def _rival(request: Request, posed: Posed) -> Callable[[], Problem] | None:
     model, picture = posed.problem.model, posed.problem.picture
     if not isinstance(model, (Mitchell, Tinted)) or "pass_scale" in request.settings:
         return None
+    if posed.unregistered is not None:
+        return None
     scale = model.convention.pass_scale
     if scale == 1 or picture.mask.shape[:2] != picture.size:
         return None

@@ -28,7 +28,7 @@ from godfit.models.base import AbstractModel
 from godfit.models.mitchell import Mitchell
 from godfit.models.tinted import Tinted
 from godfit.scattering.radial.exact import at_run_time
-from godfit.search import beyond_light, conventions, density_minima, multigrid, multistart
+from godfit.search import beyond_light, conventions, density_minima, multigrid, multistart, scatter
 
 RETRIED = 3
 """Starts from which a doubtful fit is tried once more, each alone."""
@@ -98,6 +98,9 @@ def search_mask(problem: Problem, given: dict[str, float], effort: Effort) -> Fo
             found = found.replaced(inquire=False)
         else:
             found = _doubted(located, given, effort)
+    cause = scatter.scattered(found) if found.inquire and problem.free.any() else None
+    if cause is not None:
+        found = found.replaced(remarks=(*found.remarks, Remark(cause.words, cause.name)))
     found = hold_open(found, given)
     return indirect_inference.corrected(found) if found.inquire else found
 

@@ -39,6 +39,9 @@ ROUNDS = 8
 """Gauss-Newton steps, at most."""
 LEAST_STEP = 1e-3
 """Pixels below which another step is not worth it."""
+SHARED, NEARLY_ALL, MOST_VALUES = 0.005, 0.9, 8
+"""Share of a mask's pixels that have one value for it to be a colour; the share of all colours; and
+their number, at most: a clear colour, a light, and a few objects."""
 WHOLE = 0.05
 """Pixels within which a map is taken as a shift by whole pixels, where that explains no less."""
 
@@ -70,8 +73,9 @@ class Map(NamedTuple):
         offset = 0.5 * self.scale + self.shift - 0.5
 
         def one(channel):
+            places: Any = offset
             moved: Any = ndimage.affine_transform(
-                channel, np.diag(self.scale), list(offset), size, order=1, mode="nearest"
+                channel, self.scale, places, size, order=1, mode="nearest"
             )
             return moved
 
@@ -129,14 +133,20 @@ def registered(
         guesses.append(Map(np.ones(2), np.array([down, right], float)))
     solver = _Solver(problem, mask)
     begun = [solver.begin(guess, given) for guess in guesses]
-    best, z = min(zip(guesses, begun, strict=True), key=lambda pair: pair[1].sigma)
-    corners, settled, slopes, errors = solver.solve(best.corners(size), z)
-    found = Map.of(corners, size)
-    near = Map(np.ones(2), np.round(found.shift))
-    if np.abs(near.corners(size) - corners).max() < WHOLE:
-        exact, _, _ = solver.at(near.corners(size), settled.coordinates)
-        if exact.log_likelihood >= settled.log_likelihood - 1:
-            found, settled, errors = near, exact, np.zeros((0, 4))
+    # A crop may resemble a resize: the best crop and the same frame both go on.
+    crops = sorted(zip(guesses[1:], begun[1:], strict=True), key=lambda pair: pair[1].sigma)
+    ends = [solver.solve(guesses[0].corners(size), begun[0])]
+    ends += [solver.solve(guess.corners(size), z) for guess, z in crops[:1]]
+    corners, settled, slopes, errors = max(ends, key=lambda end: end[1].log_likelihood)
+    found, sharp = Map.of(corners, size), None
+    whole = Map(np.ones(2), np.round(found.shift))
+    exact = [(guesses[0], solver.values)] if solver.values is not None else []
+    if np.abs(whole.corners(size) - corners).max() < WHOLE:
+        exact.append((whole, None))
+    for near, values in exact:
+        other = solver.at(near.corners(size), settled.coordinates, values)[0]
+        if other.log_likelihood >= settled.log_likelihood - 1:
+            found, sharp, settled, errors = near, values, other, np.zeros((0, 4))
     shifts = tuple(slopes @ error for error in errors)
     down, right = found.shift
     words = (
@@ -145,8 +155,29 @@ def registered(
         f"levels against {begun[0].sigma:.2g} before)"
     )
     return Registered(
-        picture.with_mask(found.applied(mask, size)), Remark(words, "register"), shifts
+        picture.with_mask(snapped(found.applied(solver.mask, size), sharp)),
+        Remark(words, "register"),
+        shifts,
     )
+
+
+def few_values(mask: np.ndarray) -> np.ndarray | None:
+    """The values of a mask that was drawn with few colours and without anti-aliasing, and resized:
+    those that many pixels share. None where they are not nearly all of it."""
+    values, counts = np.unique(mask, return_counts=True)
+    shared = counts >= SHARED * mask.size
+    if shared.sum() > MOST_VALUES or counts[shared].sum() < NEARLY_ALL * mask.size:
+        return None
+    return values[shared]
+
+
+def snapped(mask: np.ndarray, values: np.ndarray | None) -> np.ndarray:
+    """The ``mask`` with each value replaced by the nearest of ``values``: as it was before a resize
+    made its edges grey."""
+    if values is None:
+        return mask
+    middles = (values[1:] + values[:-1]) / 2
+    return values[np.searchsorted(middles, mask)].astype(np.float32)
 
 
 class _Solver:
@@ -156,12 +187,12 @@ class _Solver:
         self.problem, self.mask = problem, np.asarray(mask, np.float32)
         if problem.picture.mask.ndim == 2 and self.mask.ndim == 3:
             self.mask = self.mask[..., 0]
-        self.size = problem.picture.size
+        self.size, self.values = problem.picture.size, few_values(self.mask)
         self.observation = problem.observe(SEARCH_PIXELS)
 
-    def posed(self, corners: np.ndarray) -> Problem:
-        """The problem under the mask mapped so."""
-        moved = Map.of(corners, self.size).applied(self.mask, self.size)
+    def posed(self, corners: np.ndarray, values: np.ndarray | None = None) -> Problem:
+        """The problem under the mask mapped so, and snapped to ``values``."""
+        moved = snapped(Map.of(corners, self.size).applied(self.mask, self.size), values)
         return self.problem.replaced(picture=self.problem.picture.with_mask(moved))
 
     def begin(self, guess: Map, given: dict[str, float]) -> Settled:
@@ -178,9 +209,11 @@ class _Solver:
     def _view(self, problem: Problem):
         return self.observation.with_mask(problem.picture.mask)
 
-    def at(self, corners: np.ndarray, start: np.ndarray) -> tuple[Settled, Tangent, Problem]:
+    def at(
+        self, corners: np.ndarray, start: np.ndarray, values: np.ndarray | None = None
+    ) -> tuple[Settled, Tangent, Problem]:
         """Where the parameters settle under a map, with the tangent there."""
-        problem = self.posed(corners)
+        problem = self.posed(corners, values)
         settled, tangent = settle(start, problem, self._view(problem))
         return settled, tangent, problem
 

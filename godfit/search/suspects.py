@@ -28,6 +28,7 @@ from godfit.io.image import LEVELS, decode, encode
 from godfit.io.sources import FLIPS
 from godfit.models.mitchell import Mitchell
 from godfit.search import multigrid
+from godfit.search.scatter import scattered
 
 REMEDIED = 0.5
 """Share of the noise that a change must leave at most to be named."""
@@ -336,6 +337,9 @@ def suspected(found: Found, starts: Starts, report: Report) -> diagnostics.Suspe
             "size"
         )
         return diagnostics.Suspect(1.0, "nearest", words)
+    cause = scattered(found)
+    if cause is not None:
+        return cause
     trial = Trial(found, starts, report)
     best = trial.best()
     if best is None:
