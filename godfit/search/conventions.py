@@ -27,6 +27,7 @@ from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.problem import SEARCH_PIXELS, Problem
 from godfit.inference.settle import Settled, settle
 from godfit.inference.strategy import Effort, Report, stages, starting_points
+from godfit.io.image import LEVELS
 from godfit.io.jpeg import was_jpeg
 from godfit.models.build import mitchell_template
 from godfit.models.coordinates import DENSITY
@@ -52,6 +53,14 @@ CLEAR_SHARE = 0.5
 white noise: correlated errors make likelihoods differ by far more than they mean."""
 NUMBERS_TRIED = 3
 """Numbers of taps that the bands suggest and that are tried, each with and without own pixel."""
+FAINT_LEVELS = 0.1
+"""Levels of a white pixel's own value up to which there is none: shaders that have one show far
+more, as exposure alone sets it."""
+NO_OWN_PIXEL = (
+    "no pixel shows its own value, which {} adds (exposure is 0): give --shader pmndrs, or auto, "
+    "which finds a shader without it"
+)
+"""Objection with the shader."""
 TIED = 3.0
 """Difference in log-likelihood within which two conventions are tied: odds of twenty."""
 SMALLER_PASS = 0.5
@@ -232,8 +241,9 @@ def _translated(model: Mitchell, shader: Convention) -> Mitchell:
     weight = float(taps.first) / own / ratio ** (1 - shader.order)
     density = float(taps.step) * samples
     return Mitchell(
-        own / shader.gain, float(taps.ratio), density, weight, model.light, shader.name, samples
-    )
+        own / shader.gain, float(taps.ratio), density, weight, model.light, shader.name, samples,
+        model.border,
+    )  # fmt: skip
 
 
 def _fixed(form: Form, shader: Convention, count: int) -> dict[str, float] | None:
@@ -356,13 +366,31 @@ def questioned(found: Found, effort: Effort) -> Found:
     model = problem.model
     if not isinstance(model, Mitchell) or form_of(model.convention) is None or found.objection:
         return found
-    if found.settled.sigma <= density_minima.IMPROVABLE_NOISE or not problem.free.any():
+    if not problem.free.any():
+        return found
+    if _without_own(found):
+        return found.replaced(objection=NO_OWN_PIXEL.format(model.shader))
+    if found.settled.sigma <= density_minima.IMPROVABLE_NOISE:
         return found
     comparison = Comparison(problem, found.settled.coordinates)
     explained = comparison.all(effort.report)
     if not explained or not _clearly_better(explained[0], comparison.own, found):
         return found
     return found.replaced(objection=_objection(explained[0], comparison.own, model))
+
+
+def _without_own(found: Found) -> bool:
+    """Whether the picture determines that no pixel shows its own value, as the shader has it."""
+    problem, model = found.problem, found.problem.model
+    assert isinstance(model, Mitchell)
+    if not model.convention.own_pixel or not problem.is_free("exposure"):
+        return False
+    at = problem.index("exposure")
+    brightest = LEVELS * model.convention.gain * float(problem.picture.mask.max())
+    own = brightest * float(found.settled.coordinates[at])
+    error = brightest * float(found.evidence.covariance(problem.free)[at, at]) ** 0.5
+    # Some light must be there: without any, the own pixel has none either.
+    return own + 2 * error < FAINT_LEVELS and float(np.max(found.evidence.prediction)) > 1
 
 
 def _clearly_better(other: Explained, own: Settled, found: Found) -> bool:

@@ -98,7 +98,8 @@ def search_mask(problem: Problem, given: dict[str, float], effort: Effort) -> Fo
             found = found.replaced(inquire=False)
         else:
             found = _doubted(located, given, effort)
-    cause = scatter.scattered(found) if found.inquire and problem.free.any() else None
+    unexplained = found.inquire and found.remedy is None and problem.free.any()
+    cause = scatter.scattered(found) if unexplained else None
     if cause is not None:
         found = found.replaced(remarks=(*found.remarks, Remark(cause.words, cause.name)))
     found = hold_open(found, given)

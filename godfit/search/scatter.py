@@ -15,6 +15,7 @@ from godfit.inference.fitted import Found
 from godfit.inference.information import MAX_CORRELATION, misfit
 from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.io.image import LEVELS
+from godfit.io.jpeg import was_jpeg
 from godfit.models.mitchell import Mitchell
 from godfit.scattering.radial import radial_sum
 
@@ -27,8 +28,13 @@ FLOOR_LEVELS = 12**-0.5
 JITTER_GAIN = 60.0
 """Gain in log-likelihood of SCATTER_PIXELS from which jitter is named: noise that grows with
 brightness gains some as well."""
-BOUNDED_TAILS = 2.6
-"""Kurtosis of a residual below which it is bounded: noise has 3, one rounding more has 1.8."""
+UNIFORM_EXCESS = -1.2
+"""Kurtosis of a rounding's error less that of noise, 3."""
+BOUNDED = 0.6
+"""Share of that by which a residual must be bounded, beyond its own rounding: noise has none of it,
+and one rounding more all."""
+LEAST_SHARE = 0.4
+"""Share of the residual's power beyond its own rounding, at least, for its form to show."""
 MOST_ROUNDING = 1.0
 """Noise in levels up to which one rounding more may have caused it: that of a pass whose light is
 doubled afterwards, and of a few passes."""
@@ -87,10 +93,15 @@ def jittered(found: Found) -> Suspect | None:
 def scattered(found: Found) -> Suspect | None:
     """The cause of a residual that is more than rounding and has no correlation; None where it is
     noise as any other."""
-    sigma = found.settled.sigma
-    form = misfit(found.evidence.prediction, found.observation)
-    if sigma <= WITHIN_ROUNDING or form.correlation > MAX_CORRELATION:
+    sigma, picture = found.settled.sigma, found.problem.picture
+    if sigma <= WITHIN_ROUNDING or (picture.half > 0 and was_jpeg(picture.levels[..., 0])):
         return None
-    if sigma <= MOST_ROUNDING and form.tails < BOUNDED_TAILS:
+    form = misfit(found.evidence.prediction, found.observation)
+    if form.correlation > MAX_CORRELATION:
+        return None
+    # The residual holds the target's own rounding beside what is left.
+    share = sigma**2 / (sigma**2 + (2 * picture.half) ** 2 / 12)
+    bounded = 3 + UNIFORM_EXCESS * ((1 - share) ** 2 + BOUNDED * share**2)
+    if share > LEAST_SHARE and sigma <= MOST_ROUNDING and form.tails < bounded:
         return Suspect(1.0, "rounded", ROUNDED.format(sigma, form.tails))
     return jittered(found)
