@@ -23,10 +23,11 @@ from godfit.inference.fitted import Found
 from godfit.inference.problem import MAX_VALUES, Problem, checked_picture, given_and_held
 from godfit.inference.strategy import Effort, left_open, refined_mask, search
 from godfit.io.image import Image
-from godfit.io.sources import Source, occluder_mask, read_source, without_holes
+from godfit.io.sources import FLIPS, Source, occluder_mask, read_source, turned, without_holes
 from godfit.models.base import AbstractModel
 from godfit.models.build import mitchell_template, staged_template, template
 from godfit.models.mitchell import Mitchell
+from godfit.models.tinted import Tinted
 from godfit.report.result import FitResult
 from godfit.report.verdict import verdict
 from godfit.request import Request
@@ -39,6 +40,7 @@ from godfit.scenes.view import (
     light_on_screen,
     scene_at_pass_size,
 )
+from godfit.search import conventions, registration
 
 NO_VALUES = np.zeros((0, 0), np.float32)
 """Stands for the values of an image of which only the file's name is still needed."""
@@ -66,11 +68,15 @@ def fit(
     distance: float | np.ndarray | None = None,
     fix: Mapping[str, float | None] | Sequence[str] | None = None,
     start: Mapping[str, float] | None = None,
-    prior: Any = None
-    light_near: tuple[float, float] | None = None
+    prior: Any = None,
+    light_near: tuple[float, float] | None = None,
     valid: np.ndarray | None = None,
     transfer: str = "none",
     arithmetic: str | None = None,
+    flip: str | None = None,
+    border: str | None = None,
+    tint: bool = False,
+    register: bool = False,
     channels: int | None = None,
     inquire: bool = True,
     max_values: int = MAX_VALUES,
@@ -101,8 +107,9 @@ def fit(
       are estimated from the target: wherever it is not black.
     - `bright_pass`: without a mask, whether the light is all that is bright in the picture, as in a
       photograph, see `godfit.blind.hypotheses`.
-    - `shader`, `samples`: a name in `godfit.scattering.taps.CONVENTIONS`, by default the scene's or
-      `"mitchell"`; its own default number of samples.
+    - `shader`, `samples`: a name in `godfit.scattering.conventions.CONVENTIONS`, by default the scene's or
+      `"mitchell"`; its own default number of samples. `"auto"` is the convention that explains the
+      picture best, with its number of samples where none is given.
     - `rays`: of the light in the plane, for each pixel, by default 64.
     - `lights`: how many lights are summed; they start in order from left to right.
     - `pass_scale`: the size of the light pass against the mask's, at most 1. Where nothing gives it
@@ -119,10 +126,17 @@ def fit(
     - `light_near`: without a mask, (u, v) about where the light is, as by a click: it is searched
       for within a few hundredths of the picture from there.
     - `valid`: (h, w), False where the target is to be ignored.
-    - `transfer`: `"none"` or `"srgb"`, how the target (and the background) were encoded.
     - `arithmetic`: `"gpu"`, in which a shader walks to the light in float32, or `"exact"`; errors
       allow for it, see `godfit.inference.allowances.arithmetic`. By default `"gpu"` for a target of
       bytes that this program has not rendered, else `"exact"`.
+    - `transfer`: how the target (and the background) were encoded, see `godfit.io.transfer`:
+      `"none"`, `"srgb"`, a tone curve, a file with a curve, or several with + between them.
+    - `flip`: `"vertical"`, `"horizontal"` or `"both"` turns target, background and `valid` over.
+    - `border`: what the taps read beyond the mask's edge, `"edge"` (the nearest pixel) or
+      `"black"`.
+    - `tint`: whether the light has a colour: red and blue against green are fitted.
+    - `register`: whether shift and scale of the mask are fitted first, see
+      `godfit.search.registration`.
     - `channels`: 3 counts every channel of a grey picture. That costs time and adds no information,
       but makes likelihoods comparable with those of models that are never grey.
     - `inquire`: where the residual is not noise, whether to try other starts, to correct the bias
@@ -142,8 +156,9 @@ def fit(
             background=background, occluder=occluder, bright_pass=bright_pass, shader=shader,
             samples=samples, rays=rays, lights=lights, pass_scale=pass_scale, fov=fov,
             distance=distance, fix=fix, start=start, prior=prior, light_near=light_near,
-            valid=valid, transfer=transfer, arithmetic=arithmetic, channels=channels,
-            inquire=inquire, max_values=max_values, seed=seed, progress=progress,
+            valid=valid, transfer=transfer, arithmetic=arithmetic, flip=flip, border=border,
+            tint=tint, register=register, channels=channels, inquire=inquire,
+            max_values=max_values, seed=seed, progress=progress,
         ).checked()  # fmt: skip
         try:
             return _fit(request)
@@ -177,13 +192,50 @@ def found_for(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     its verdict."""
     if request.bare:
         return _fit_bare(request)
+    request, found_out = _with_shader(request)
     posed = _ready(request)
     effort = Effort(request.inquire, request.max_values, request.report, _rival(request, posed))
     found = search(posed.problem.model, posed.problem, posed.given, effort)
     found = found.replaced(
-        opened=posed.opened + found.opened, pass_scale=_scale_of(found, request, posed)
+        opened=posed.opened + found.opened,
+        shifts=found.shifts + posed.shifts,
+        pass_scale=_scale_of(found, request, posed),
     )
-    return found, posed.notes + found.notes, posed.images
+    return found, found_out + posed.notes + found.notes, posed.images
+
+
+def _with_shader(request: Request) -> tuple[Request, tuple[str, ...]]:
+    """The request with the convention and the number of samples that explain the picture best where
+    the shader is to be found, and notes on that; as it is where the shader is named."""
+    if not request.automatic:
+        return request, ()
+    general = dataclasses.replace(request, shader=conventions.GENERAL_SUM, tint=False)
+    if request.free:
+        words = f"shader: {conventions.GENERAL_SUM} assumed; with --free give --shader"
+        return general, (Remark(words, "shader"),)
+    posed = _ready(general)
+    picture = posed.problem.picture
+
+    def rival() -> Problem:
+        small = dataclasses.replace(general, pass_scale=conventions.SMALLER_PASS, register=False)
+        return _ready(small).problem
+
+    whole = picture.mask.shape[:2] == picture.size and posed.unregistered is None
+    either = whole and "pass_scale" not in request.settings
+    effort = Effort(request.inquire, request.max_values, request.report, rival if either else None)
+    samples = request.settings.get("samples")
+    ranked = conventions.identified(posed.problem, posed.given, effort, samples)
+    best = ranked[0]
+    name, start = best.names[0], dict(request.start or {})
+    given = start | {n: v for n, v in request.held_at.items() if v is not None}
+    start = {n: v for n, v in conventions.start_of(best, name).items() if n not in given} | start
+    scale = request.pass_scale
+    if best.problem.picture.mask.shape[:2] != picture.mask.shape[:2]:
+        scale = conventions.SMALLER_PASS
+    request = dataclasses.replace(
+        request, shader=name.shader, samples=name.samples, start=start, pass_scale=scale
+    )
+    return request, (conventions.ranking(ranked),)
 
 
 def _fit_bare(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image]]:
@@ -207,12 +259,13 @@ def _fit_bare(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
 def _target_of(request: Request) -> Image:
     """The target, zero where it is not finite and ignored."""
     target = read_source(request.target, request.transfer, "target", finite=False)
-    return without_holes(target, request.valid)
+    return turned(without_holes(target, request.valid), request.flip)
 
 
 class Posed(NamedTuple):
     """A problem ready to be solved: parameters ``given`` by name, notes, the images by role without
-    their values, and the scene that the mask was drawn from; ``opened`` as in ``Found``."""
+    their values, and the scene that the mask was drawn from; ``opened`` and ``shifts`` as in
+    ``Found``; the mask as it was given, ``unregistered``, where it is to be registered."""
 
     problem: Problem
     given: dict[str, float]
@@ -220,6 +273,8 @@ class Posed(NamedTuple):
     images: dict[str, Image]
     scene: Scene | None
     opened: tuple[tuple[int, list[int]], ...] = ()
+    unregistered: np.ndarray | None = None
+    shifts: tuple[np.ndarray, ...] = ()
 
 
 def _pose(request: Request) -> Posed:
@@ -228,6 +283,7 @@ def _pose(request: Request) -> Posed:
     settings, scene, notes = request.settings, request.scene, ()
     images = {"target": _target_of(request)}
     pass_scale, start = settings.get("pass_scale", 1.0), dict(request.start or {})
+    unregistered = None
     model: AbstractModel
     if request.canvas is not None:
         request.report("rays")
@@ -256,9 +312,14 @@ def _pose(request: Request) -> Posed:
             model = staged_template(model, scene, request.free)
             start = {name: value for name, value in start.items() if name in model.parameters}
         if request.background is not None:
-            images["background"] = read_source(request.background, request.transfer, "background")
+            back = read_source(request.background, request.transfer, "background")
+            images["background"] = turned(back, request.flip)
+        valid = request.valid
+        if valid is not None and request.flip is not None:
+            valid = np.flip(valid, FLIPS[request.flip][1])
+        unregistered = _to_register(request, images, pass_scale)
         picture = checked_picture(
-            images["target"], images["mask"], images.get("background"), request.valid, pass_scale,
+            images["target"], images["mask"], images.get("background"), valid, pass_scale,
             request.channels or model.channels,
         )  # fmt: skip
         if request.arithmetic is not None:
@@ -273,7 +334,26 @@ def _pose(request: Request) -> Posed:
     )
     assert scene is None or isinstance(scene, Scene)
     problem = Problem(model, picture, free, held, request.seed, prior=prior)
-    return Posed(problem, given, notes, images, scene)
+    return Posed(problem, given, notes, images, scene, unregistered=unregistered)
+
+
+def _to_register(
+    request: Request, images: dict[str, Image], pass_scale: float
+) -> np.ndarray | None:
+    """The mask, where it is to be registered; the image is then of the target's size. None where
+    it is taken as it is."""
+    mask, size = images["mask"].values, images["target"].values.shape[:2]
+    if request.mask is None or pass_scale != 1:
+        if request.register:
+            raise InputError("register: expected no --pass-scale with it; leave one of them out")
+        return None
+    if request.register:
+        registration.check_registered(mask.shape, size)
+    elif not registration.may_register(mask.shape, size, asked=False):
+        return None
+    resized = registration.fitted_size(mask, size)
+    images["mask"] = dataclasses.replace(images["mask"], values=resized)
+    return mask
 
 
 def _mask_of(scene: Scene, model: AbstractModel, moves: bool) -> np.ndarray:
@@ -302,14 +382,21 @@ def _ready(request: Request) -> Posed:
     if posed.scene is not None:
         picture = refined_mask(problem.model, problem, posed.scene, posed.given, request.report)
         problem = problem.replaced(picture=picture)
-    return posed._replace(problem=problem, notes=notes, opened=always_open)
+    shifts: tuple[np.ndarray, ...] = ()
+    if posed.unregistered is not None:
+        moved = registration.registered(problem, posed.unregistered, posed.given, request.report)
+        problem, shifts = problem.replaced(picture=moved.picture), moved.shifts
+        notes += (moved.note,)
+    return posed._replace(problem=problem, notes=notes, opened=always_open, shifts=shifts)
 
 
 def _rival(request: Request, posed: Posed) -> Callable[[], Problem] | None:
     """The same problem with a light pass of another size, where nothing says which the target has.
     With a mask of the target's size it is the shader's own; with a smaller mask, the target's."""
     model, picture = posed.problem.model, posed.problem.picture
-    if not isinstance(model, Mitchell) or "pass_scale" in request.settings:
+    if not isinstance(model, (Mitchell, Tinted)) or "pass_scale" in request.settings:
+        return None
+    if posed.unregistered is not None:
         return None
     if picture.pass_size(model) != picture.size:
         return lambda: posed.problem.replaced(model=dataclasses.replace(model, full_size=True))
@@ -324,7 +411,7 @@ def _scale_of(found: Found, request: Request, posed: Posed) -> float | None:
     if request.canvas is not None:
         return None
     model, own = found.problem.model, posed.problem.picture.mask.shape[:2]
-    if isinstance(model, Mitchell) and found.problem.picture.mask.shape[:2] != own:
+    if isinstance(model, (Mitchell, Tinted)) and found.problem.picture.mask.shape[:2] != own:
         return model.convention.pass_scale
     return request.settings.get("pass_scale", 1.0)
 

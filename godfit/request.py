@@ -11,15 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from godfit.errors import InputError
+from godfit.errors import InputError, shown
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.model import Flatland
 from godfit.inference.observation import ARITHMETICS
 from godfit.inference.problem import MAX_VALUES
 from godfit.io.image import Image
-from godfit.io.sources import Source
+from godfit.io.sources import FLIPS, Source
 from godfit.models.hoffman_preetham import HoffmanPreetham
 from godfit.models.mitchell import Mitchell
+from godfit.scattering.conventions import AUTO
 from godfit.scenes.scene import Scene, read_scene
 from godfit.scenes.view import in_single_precision
 
@@ -54,6 +55,10 @@ class Request:
     valid: np.ndarray | None = None
     transfer: str = "none"
     arithmetic: str | None = None
+    flip: str | None = None
+    border: str | None = None
+    tint: bool = False
+    register: bool = False
     channels: int | None = None
     inquire: bool = True
     max_values: int = MAX_VALUES
@@ -74,8 +79,16 @@ class Request:
     def settings(self) -> dict[str, Any]:
         """Settings that were given here, or in the scene's file."""
         scene = self.scene.settings if isinstance(self.scene, Scene) else {}
-        given = {"shader": self.shader, "samples": self.samples, "pass_scale": self.pass_scale}
+        given = {
+            "shader": self.shader, "samples": self.samples, "pass_scale": self.pass_scale,
+            "border": self.border, "tint": self.tint or None,
+        }  # fmt: skip
         return dict(scene) | {name: value for name, value in given.items() if value is not None}
+
+    @property
+    def automatic(self) -> bool:
+        """Whether the shader is to be found."""
+        return self.settings.get("shader") == AUTO
 
     @property
     def held_at(self) -> dict[str, float | None]:
@@ -112,6 +125,7 @@ class Request:
             self._check_bare()
         if self.prior and self.bare:
             raise InputError("prior: expected a mask, a scene or a canvas with it, got none")
+        self._check_treatment()
         if self.bright_pass and not self.bare:
             raise InputError("bright pass: expected no mask, scene or canvas with it, got one")
         self._check_light_near()
@@ -125,6 +139,25 @@ class Request:
             return self
         scene = self.scene if isinstance(self.scene, Scene) else read_scene(self.scene)
         return dataclasses.replace(self, scene=in_single_precision(scene))
+
+    def _check_treatment(self) -> None:
+        """Raise InputError for options that only a sum over a known mask has."""
+        if self.flip is not None and self.flip not in FLIPS:
+            raise InputError(f"flip: expected one of {', '.join(FLIPS)}, got {shown(self.flip)}")
+        options = {
+            "border": self.border, "tint": self.tint, "register": self.register,
+            "shader auto": self.shader == AUTO,
+        }  # fmt: skip
+        for name, given in options.items():
+            if given and (self.bare or self.kind != Mitchell.name):
+                raise InputError(
+                    f"{name}: expected --mask or --scene and the model mitchell with it"
+                )
+        for name in ("tint", "register"):
+            if options[name] and self.free:
+                raise InputError(f"{name}: expected no --free with it; leave one of them out")
+        if self.register and self.mask is None:
+            raise InputError("register: expected --mask with it, got a scene; leave it out")
 
     def _check_bare(self) -> None:
         """Raise InputError for options that a fit without mask and scene does not have."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from godfit.io.image import LEVELS, Image, decode
-from godfit.scattering.taps import Convention
+from godfit.scattering.conventions import Convention
 
 ENCODINGS = (("none", "none"), ("srgb", "srgb"), ("srgb", "none"))
 """Transfers of the picture with the effect on and of the ordinary pass that are tried: a dump of a

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from godfit.blind.rays import INNERMOST, Candidate, RayMisfit
+
+from godfit.blind.rays import Candidate, RayMisfit
 
 SCALES = np.array([0.01, 0.01, 0.5, 0.05, 0.005, 3.0, 0.2, 0.2])
 """Steps of a candidate's numbers that change the cost alike; the last two are logarithms."""

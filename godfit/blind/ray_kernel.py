@@ -14,7 +14,6 @@ import numpy as np
 
 from godfit.runtime.numba_jit import fast_jit, jit
 
-
 TINY = 1e-12
 """Curvature of the cost by an x below which the picture does not depend on it."""
 QUIET = 1e-9

@@ -13,7 +13,7 @@ import numpy as np
 
 from godfit.io.filters import over_channels, shrink
 from godfit.io.image import LEVELS, decode
-from godfit.scattering.taps import Convention
+from godfit.scattering.conventions import Convention
 
 SIDE = 320
 """Pixels of the copy's longer side: rays are many pixels wide there, and a cost takes half a

@@ -45,6 +45,12 @@ if TYPE_CHECKING:
     "--occluder", help="Without a mask: an image that is not black where further objects are."
 )
 @BRIGHT_PASS
+@click.option("--flip", metavar="AXIS", help="Turn the target over: vertical, horizontal or both.")
+@click.option("--border", help="Beyond the mask's edge: edge or black. [default: edge]")
+@click.option("--tint", is_flag=True, default=None, help="Fit the light's colour as well.")
+@click.option(
+    "--register", is_flag=True, default=None, help="Fit shift and scale of the mask as well."
+)
 @click.option("--model", help="mitchell, hoffman-preetham or flatland. [default: mitchell]")
 @click.option(
     "--free", multiple=True, metavar="NAME", help="Fit this quantity of the scene as well."
@@ -138,6 +144,7 @@ def fit(
             require()
         imported = time.perf_counter() - STARTED
         file = study.options.get("scene")
+        find_shader(study.options)
         prepare(study.options, run, progress, study.image.values.shape)
         result = fit(
             study.image, valid=study.valid, seed=run.seed, progress=progress, **study.options
@@ -174,6 +181,21 @@ def with_intervals(
         progress("posterior")
         result = sampling.with_posterior(result, sampling.posterior(result, seed=seed))
     return result
+
+
+def find_shader(options: dict[str, Any]) -> None:
+    """Have the shader found where nothing names it and there is a mask or a scene."""
+    known = {"mask", "scene"} & options.keys() and "canvas" not in options
+    if not known or options.get("model", "mitchell") != "mitchell" or options.get("shader"):
+        return
+    if "scene" in options:
+        from godfit.scenes.scene import read_scene
+
+        options["scene"] = read_scene(options["scene"])
+        if "shader" in options["scene"].settings:
+            return
+    if not options["free"]:
+        options["shader"] = "auto"
 
 
 def start_lights(options: dict[str, Any], light: Lights, size: tuple[int, ...]) -> None:

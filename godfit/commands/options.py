@@ -41,6 +41,17 @@ class Command(click.Command):
         return rest
 
 
+def _checked_curve(
+    context: click.Context, option: click.Parameter, transfer: str | None
+) -> str | None:
+    """The name of a transfer, checked before the work begins."""
+    from godfit.io.transfer import checked_transfer
+
+    if transfer is not None and transfer not in ("none", "srgb"):
+        checked_transfer(transfer)
+    return transfer
+
+
 def _limit_pixels(context: click.Context, option: click.Parameter, count: int | None) -> None:
     from godfit.io.image import MAX_PIXELS, limit_pixels
 
@@ -57,7 +68,8 @@ LIMIT = click.option(
 SHADER = combined(
     click.option(
         "--shader",
-        help="Convention, see `godfit shaders`, or a FILE.toml of your own. [default: mitchell]",
+        help="Convention, see `godfit shaders`, a FILE.toml of your own, or auto, the one that "
+        "explains the picture best. [default: auto with a mask or scene, else mitchell]",
     ),
     click.option("--samples", type=int, help="Samples a ray. [default: the shader's own]"),
 )
@@ -80,7 +92,13 @@ PICTURE_OPTIONS = combined(
         help="Size of the light pass relative to the mask, at most 1. [default: 1; dawntime, "
         "vesper: 1 or .5]",
     ),
-    click.option("--transfer", type=click.Choice(["none", "srgb"]), help="Encoding of the target."),
+    click.option(
+        "--transfer",
+        metavar="NAME|FILE",
+        callback=_checked_curve,
+        help="Encoding of the target: none, srgb, reinhard, aces, aces-hill, filmic, a .cube or "
+        "sampled curve, or several with + between them. [default: none]",
+    ),
     click.option(
         "--arithmetic",
         type=click.Choice(["gpu", "exact"]),

@@ -32,7 +32,8 @@ VIDEO_FRAME = re.compile(r"#\d+$")
 NOT_CONVERGED = 3
 """Exit status of a fit that did not converge."""
 PROGRAM_SETTINGS = {
-    "model", "shader", "samples", "lights", "pass_scale", "transfer", "bright_pass",
+    "model", "shader", "samples", "lights", "pass_scale", "transfer", "bright_pass", "border",
+    "tint",
 }  # fmt: skip
 """Options that change which programs are compiled."""
 
@@ -173,7 +174,7 @@ def prepare(
 
     if size:
         check_memory(FIT_BYTES * size[0] * size[1], f"target: {size[1]}x{size[0]} pixels")
-    if "scene" in options:
+    if isinstance(options.get("scene"), str):
         from godfit.scenes.scene import read_scene
 
         progress("loading meshes")
@@ -189,11 +190,13 @@ def prepare(
 
 def warn_of_defaults(options: Mapping[str, Any]) -> None:
     """Warn of a shader or a number of samples that was not given."""
-    from godfit.scattering.conventions import convention
+    from godfit.scattering.conventions import AUTO, convention
 
     settings = {**options["scene"].settings, **options} if "scene" in options else options
     if "shader" not in settings:
         warn("no shader given: 'mitchell' assumed; see `godfit shaders`")
+    if settings.get("shader") == AUTO:
+        return
     shader = convention(settings.get("shader", "mitchell"))
     if "samples" not in settings and "samples" not in shader.defaults:
         warn(f"{shader.name} publishes no default: {shader.samples} samples assumed")

@@ -128,7 +128,7 @@ def checked_picture(
     if abs(w * height - h * width) > max(width, height, w, h):
         raise InputError(
             f"mask: expected the target's aspect {width}:{height}, got {w}:{h}; "
-            "crop or render the mask for the same frame"
+            "crop or render the mask for the same frame, or fit shift and scale with --register"
         )
     if valid is not None and not valid.any():
         raise InputError("ignore: expected pixels to be left, got all of them ignored; ignore less")

@@ -30,6 +30,8 @@ FINE_SPACINGS = 12
 """Spacings that are evaluated at FINE_SPACING_PIXELS: SPACING_PIXELS do not rank the best ones."""
 LEAST_SAMPLES = 8
 """Samples of the coarsest shader that is tried: fewer show their taps one by one."""
+FEWEST_SAMPLES = 4
+"""Taps of the coarsest shader whose number is named: those of a low preset."""
 MOST_SAMPLES = 320
 """Samples of the finest shader that is tried: the scan takes time in proportion."""
 SPACING_OFFSETS = np.linspace(-1, 1, 9)
@@ -48,10 +50,13 @@ class Spacing(NamedTuple):
 class _Scan:
     """Costs of spacings at ``count`` pixels that are not clipped, all else as in ``model``."""
 
-    def __init__(self, model: Mitchell, picture: Picture, count: int, seed: int) -> None:
+    def __init__(
+        self, model: Mitchell, picture: Picture, count: int, seed: int, own: bool | None = None
+    ) -> None:
         decay, density = float(model.decay), float(model.density)
         self.kappa = -model.samples * math.log(max(decay, 1e-12)) / density
-        self.drop, self.shows_own = model.convention.drop, model.convention.own_pixel
+        self.drop = model.convention.drop
+        self.shows_own = model.convention.own_pixel if own is None else own
         u, v = (float(z) for z in np.asarray(model.light)[0])
         self.light = u, v
         pixels = picture.informative(count, seed)
@@ -116,6 +121,31 @@ def other_samples(model: Mitchell, picture: Picture, seed: int = 0) -> Mitchell 
     return eqx.tree_at(
         lambda m: (m.density, m.decay), other, (jnp.float32(density), jnp.float32(decay))
     )
+
+
+def spacings(model: Mitchell, picture: Picture, seed: int = 0) -> list[tuple[float, Spacing]]:
+    """The spacings of the ``FINE_SPACINGS`` best numbers of samples, each with its mean square
+    residual in levels, best first; the pixel's own value may have any weight. Empty where the bands
+    cannot be scanned: for several lights, a background or a target that is encoded."""
+    if picture.background is not None or picture.transfer != "none" or len(model.light) != 1:
+        return []
+    coarse = _Scan(model, picture, SPACING_PIXELS, seed, own=True)
+    fine = _Scan(model, picture, FINE_SPACING_PIXELS, seed, own=True)
+    least = FEWEST_SAMPLES + model.convention.drop
+    tried = [taps for n in range(least, MOST_SAMPLES + 1) for taps in _about(model, n)]
+    numbers: list[int] = []
+    for i in np.argsort(coarse.costs(tried), kind="stable"):
+        if tried[i].samples not in numbers:
+            numbers.append(tried[i].samples)
+        if len(numbers) == FINE_SPACINGS:
+            break
+    candidates = [taps for n in numbers for taps in _about(model, n)]
+    costs = fine.costs(candidates) * LEVELS**2 / max(len(fine.target), 1)
+    best: dict[int, tuple[float, Spacing]] = {}
+    for cost, taps in zip(costs, candidates, strict=True):
+        if cost < best.get(taps.samples, (np.inf, taps))[0]:
+            best[taps.samples] = float(cost), taps
+    return sorted(best.values())
 
 
 def _about(model: Mitchell, samples: int) -> list[Spacing]:

@@ -22,13 +22,12 @@ from godfit.errors import InputError
 from godfit.io import checked_readers, png_text, readers
 from godfit.io.readers import Reader
 from godfit.io.regular_files import read_regular
+from godfit.io.transfer import checked_transfer, decode, encode
 from godfit.runtime.files import atomic_write
 from godfit.runtime.memory import check_memory
 
 LEVELS = 255.0
 """8-bit levels from black to white; residuals and noise are given in them."""
-TRANSFERS = ("none", "srgb")
-"""Transfer functions by which files may be encoded."""
 IMAGE_FORMATS = "PNG, JPEG, TIFF, EXR, WebP, AVIF, HDR, TGA, BMP, PPM or .npy"
 """Formats that are read, as errors name them; fewer than there are."""
 FEWEST_CODES = 16
@@ -38,10 +37,6 @@ MAX_PIXELS = 2**27
 raises it: 11,585 squared, of which a colour image takes 1.6 GB."""
 READING_BYTES = 5
 """Memory that reading takes a sample, in bytes: its code, and its value in float32."""
-SRGB_LINEAR_END = 0.04045
-"""Encoded value at which sRGB's linear segment ends and its power begins (IEC 61966-2-1)."""
-SRGB_LINEAR_END_DECODED = 0.0031308
-"""The same in linear light."""
 VALUES_PER_STRIDE = 2**18
 """Values that are converted at a time: the float64 copies of a whole image would take too much."""
 
@@ -52,7 +47,7 @@ class Image:
 
     values: np.ndarray  # float32, (h, w) or (h, w, 3), linear
     quantum: float | None  # step of the encoded values: 1/255, 1/65535, or None for floats
-    transfer: str  # "none" or "srgb"
+    transfer: str  # see ``godfit/io/transfer.py``
     path: str  # as given; "" if made in memory
     sha256: str  # hash of the file's bytes
     notes: tuple[str, ...] = ()  # plain sentences on anything dropped or doubtful
@@ -68,29 +63,6 @@ class Image:
         if self.transfer == "none":
             return self.values
         return _by_rows(lambda rows: encode(rows, self.transfer), self.values, np.float32)
-
-
-def decode(x: Any, transfer: str) -> Any:
-    """Encoded -> linear (IEC 61966-2-1 for "srgb"), elementwise on a numpy or jax float array.
-
-    The linear segment continues below 0, the power above 1. Raises InputError for an unknown
-    transfer.
-    """
-    if _checked_transfer(transfer) == "none":
-        return x
-    xp = x.__array_namespace__()
-    # The maximum keeps the unused branch of the where, and its gradient, finite.
-    power = ((xp.maximum(x, SRGB_LINEAR_END) + 0.055) / 1.055) ** 2.4
-    return xp.where(x <= SRGB_LINEAR_END, x / 12.92, power)
-
-
-def encode(x: Any, transfer: str) -> Any:
-    """Linear -> encoded: the inverse of ``decode``, on the same arrays, with the same errors."""
-    if _checked_transfer(transfer) == "none":
-        return x
-    xp = x.__array_namespace__()
-    power = 1.055 * xp.maximum(x, SRGB_LINEAR_END_DECODED) ** (1 / 2.4) - 0.055
-    return xp.where(x <= SRGB_LINEAR_END_DECODED, x * 12.92, power)
 
 
 def read_image(
@@ -138,7 +110,7 @@ def read_layer(
     path: str | os.PathLike[str], *, transfer: str = "none", finite: bool = True
 ) -> tuple[Image, np.ndarray | None]:
     """As ``read_image``, with the alpha channel, (h, w) float32 from 0 to 1; None without one."""
-    _checked_transfer(transfer)
+    transfer = checked_transfer(transfer)
     name = os.fsdecode(path)
     data = read_regular(name, IMAGE_FORMATS)
     kind, reader = _recognise(data, name)
@@ -171,7 +143,7 @@ def write_image(
     ``exact`` it says that nothing but this rounding is between its values and the model's.
     .exr and .npy: float32, linear, whatever the transfer. Raises InputError.
     """
-    _checked_transfer(transfer)
+    transfer = checked_transfer(transfer)
     name = os.fsdecode(path)
     suffix = os.path.splitext(name)[1].lower()
     if suffix not in (".png", ".exr", ".npy"):
@@ -205,7 +177,7 @@ def write_image(
             top = 2**bits - 1
             data = imagecodecs.png_encode(
                 _by_rows(
-                    lambda rows: np.floor(encode(rows.clip(0, 1), transfer) * top + 0.5),
+                    lambda rows: np.floor(encode(rows.clip(0), transfer).clip(0, 1) * top + 0.5),
                     values,
                     np.uint8 if bits == 8 else np.uint16,
                 )
@@ -214,12 +186,6 @@ def write_image(
     except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: libpng's
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{name!r}: cannot be written: {reason}") from error
-
-
-def _checked_transfer(transfer: str) -> str:
-    if transfer not in TRANSFERS:
-        raise InputError(f"expected transfer 'none' or 'srgb', got {transfer!r}")
-    return transfer
 
 
 def _by_rows(function: Callable[[Any], Any], source: np.ndarray, dtype: Any) -> np.ndarray:

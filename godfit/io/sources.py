@@ -19,6 +19,26 @@ Source = Any
 """An image as users give it: a file's name, an ``Image``, or an array of any library."""
 
 
+FLIPS: dict[str, tuple[str, tuple[int, ...]]] = {
+    "vertical": ("upside down", (0,)),
+    "horizontal": ("mirrored", (1,)),
+    "both": ("turned by 180 degrees", (0, 1)),
+}
+"""How a target may be turned against its mask, by the value of --flip: in words, and the axes."""
+
+
+def turned(image: Image, flip: str | None) -> Image:
+    """The image turned over as ``flip``, a key of ``FLIPS``, says; as it is for None."""
+    if flip is None:
+        return image
+    axes = FLIPS[flip][1]
+    rounding = image.rounding
+    if rounding is not None:
+        rounding = np.flip(rounding[0], axes), np.flip(rounding[1], axes)
+    values = np.ascontiguousarray(np.flip(image.values, axes))
+    return dataclasses.replace(image, values=values, rounding=rounding)
+
+
 def read_source(
     source: Source, transfer: str, name: str = "image", *, finite: bool = True
 ) -> Image:

@@ -13,12 +13,13 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from godfit.errors import InputError
+from godfit.errors import InputError, shown
 from godfit.models.atmosphere import Air
 from godfit.models.base import AbstractModel
 from godfit.models.hoffman_preetham import HoffmanPreetham, View
-from godfit.models.mitchell import Mitchell
+from godfit.models.mitchell import BLACK, EDGE, Mitchell
 from godfit.models.staged import Staged
+from godfit.models.tinted import TintedMask
 from godfit.scattering.conventions import convention
 from godfit.scattering.parameters import is_light
 from godfit.scenes.labels import FIRST_OBJECT_LABEL
@@ -55,13 +56,20 @@ def _check_samples(samples: int | None) -> None:
         )
 
 
-def mitchell_template(shader: str, samples: int | None, lights: int) -> Mitchell:
+def mitchell_template(
+    shader: str, samples: int | None, lights: int, border: str = EDGE
+) -> Mitchell:
     """Mitchell's sum with a number of ``lights``, at no particular point. ``samples`` None is the
-    shader's own number. Raises InputError for numbers out of range."""
+    shader's own number; ``border`` as in ``Mitchell``. Raises InputError for numbers out of
+    range."""
     _check_samples(samples)
     if not 1 <= lights <= MAX_LIGHTS:
         raise InputError(f"lights: expected 1 to {MAX_LIGHTS}, got {lights}")
-    return Mitchell(1.0, 0.9, 0.5, 0.5, [[0.5, 0.5]] * lights, shader, samples)
+    if border not in (EDGE, BLACK):
+        raise InputError(f"border: expected {EDGE} or {BLACK}, got {shown(border)}")
+    if border != EDGE and not convention(shader).plain:
+        raise InputError(f"border: expected {EDGE} with {shader}, got {border}; leave it out")
+    return Mitchell(1.0, 0.9, 0.5, 0.5, [[0.5, 0.5]] * lights, shader, samples, border)
 
 
 def mitchell_at(
@@ -75,7 +83,8 @@ def mitchell_at(
     """
     shader = convention(settings.get("shader", "mitchell"))
     count = len(lights) or sum(is_light(k) for k in settings) // 2 or 1
-    model = mitchell_template(shader.key, settings.get("samples"), count)
+    border = settings.get("border", EDGE)
+    model = mitchell_template(shader.key, settings.get("samples"), count, border)
     places = {}
     for i, (u, v) in enumerate(lights):
         stem = "light" if i == 0 else f"light{i + 1}"
@@ -98,6 +107,7 @@ def mitchell_at(
         shader.key,
         model.samples,
         settings.get("full_size", False),
+        border=border,
     )
 
 
@@ -125,7 +135,9 @@ def template(
     samples = settings.get("samples")
     if kind == HoffmanPreetham.name:
         return daylight_template(*geometry, samples)
-    return mitchell_template(settings.get("shader", "mitchell"), samples, lights), ()
+    border = settings.get("border", EDGE)
+    model = mitchell_template(settings.get("shader", "mitchell"), samples, lights, border)
+    return (TintedMask(model) if settings.get("tint") else model), ()
 
 
 def daylight_template(

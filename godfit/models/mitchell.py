@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy import optimize
 
-from godfit.errors import Remark
+from godfit.errors import InputError, Remark
 from godfit.io.arrays import as_light
 from godfit.models.base import FAINTEST, AbstractModel, Vector
 from godfit.models.coordinates import DENSITY, EXPOSURE, GAIN, KAPPA, SCATTERING_COUNT
@@ -42,6 +42,8 @@ DENSITY_TOLERANCE = 1e-9
 AT_SLIDER_END = 1e-3
 """Distance of a density from the end of a slider within which it is that end: a tenth of the step
 of the published ones."""
+EDGE, BLACK = "edge", "black"
+"""What a shader's reads beyond the mask's edge return: the nearest pixel, or black."""
 TINY_DECAY = 1e-12
 """Least decay in the logarithm of ``resampled``: a decay of 0 has none."""
 TINY_SUM = 1e-30
@@ -54,7 +56,8 @@ class Mitchell(AbstractModel):
     ``exposure``, ``decay``, ``density`` and ``weight`` are the shader's; ``light`` is (lights, 2)
     in texture coordinates. Several lights are a sum over lights. ``samples`` is an integer and is
     not differentiated. With ``full_size`` the light pass has the image's size where the mask is
-    smaller, and reads the mask between its texels.
+    smaller, and reads the mask between its texels. ``border`` is what the taps read beyond the
+    mask's edge: ``"edge"``, the nearest pixel, or ``"black"``.
 
     Fit coordinates (one for each parameter, in order): exposure; kappa = -samples ln(decay) /
     density, the attenuation for each unit of ray; density; gain = exposure weight samples /
@@ -75,10 +78,11 @@ class Mitchell(AbstractModel):
     shader: str = eqx.field(static=True, default="mitchell")
     samples: Count = 100
     full_size: bool = eqx.field(static=True, default=False)
+    border: str = eqx.field(static=True, default=EDGE)
 
     def __init__(
         self, exposure, decay, density, weight, light, shader="mitchell", samples=None,
-        full_size=False,
+        full_size=False, border=EDGE,
     ):  # fmt: skip
         self.exposure, self.decay = on_device(exposure, float), on_device(decay, float)
         self.density, self.weight = on_device(density, float), on_device(weight, float)
@@ -88,7 +92,7 @@ class Mitchell(AbstractModel):
         count = own.samples if samples is None else samples
         # The loops of sums that are no sequence of taps need a known number.
         self.samples = count if own.passes else at_run_time(count)
-        self.full_size = full_size
+        self.full_size, self.border = full_size, border
 
     @property
     def convention(self) -> Convention:
@@ -98,8 +102,9 @@ class Mitchell(AbstractModel):
     @property
     def settings(self) -> dict[str, Any]:
         own = self.convention
+        border = {} if self.border == EDGE else {"border": self.border}
         definition = {"shader_definition": own.definition()} if own.own_file else {}
-        return {"shader": own.name, "samples": self.samples, **definition}
+        return {"shader": own.name, "samples": self.samples, **definition, **border}
 
     @property
     def parameters(self) -> dict[str, Parameter]:
@@ -214,14 +219,16 @@ class Mitchell(AbstractModel):
     def _scattered(self, read, light, at, method):
         """The light pass of one ``light``, of what it ``read``s."""
         shader = self.convention
+        if shader.passes and self.border != EDGE:
+            raise InputError(f"border: expected {EDGE} with {self.shader}, got {self.border}")
         if shader.passes:
             given = Pass(light, self.density, self.samples, shader.pass_options, at)
             image = composed_sum(shader, read, given)
         else:
             passes, image = self.taps, 1 - read if shader.box else read
             for taps in passes[:-1]:
-                image = radial_sum(image, light, taps, method=method)
-            image = radial_sum(image, light, passes[-1], at=at, method=method)
+                image = self._summed(image, light, taps, None, method)
+            image = self._summed(image, light, passes[-1], at, method)
         if shader.power != 1:
             # The sum has the exposure already, which is no part of what is raised.
             exposure = shader.gain * self.exposure
@@ -231,6 +238,28 @@ class Mitchell(AbstractModel):
         # What is blended towards a light pass has its exposure there.
         scaled = shader.composed and shader.blend != "towards"
         return self.exposure * image if scaled else image
+
+    def _summed(
+        self,
+        image: Any,
+        light: Float[Array, "2"],
+        taps: Taps,
+        at: Float[Array, "*points 2"] | None,
+        method: str,
+    ) -> Float[Array, "..."]:
+        """The radial sum of ``image``, which beyond its edge is its edge or black."""
+        if self.border == EDGE:
+            return radial_sum(image, light, taps, at=at, method=method)
+        if taps.unit != "ray":
+            raise InputError(f"border: expected {EDGE} with {self.shader}, got {self.border}")
+        # One ring of black pixels: beyond it, the edge that is repeated is black.
+        h, w = image.shape[:2]
+        framed = jnp.pad(image, ((1, 1), (1, 1), *[(0, 0)] * (image.ndim - 2)))
+        size = jnp.array([w, h], light.dtype)
+        moved = (light * size + 1) / (size + 2)
+        if at is not None:
+            return radial_sum(framed, moved, taps, at=at + 1, method=method)
+        return radial_sum(framed, moved, taps, method=method)[1:-1, 1:-1]
 
     def __call__(
         self,

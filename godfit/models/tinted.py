@@ -97,3 +97,12 @@ class Tinted(AbstractShaded):
         colour = jnp.stack([self.tint[0], jnp.ones_like(self.tint[0]), self.tint[1]])
         light = light * colour.reshape((1,) * (light.ndim - 1) + (3,))
         return self.shading.composite(light, background, pixels)
+
+
+class TintedMask(Tinted):
+    """The same under a mask that is known, whose edges leave bands in the image."""
+
+    banded: ClassVar[bool] = True
+
+    def __init__(self, shading: Mitchell, tint=(1.0, 1.0)):
+        super().__init__(shading, tint)

@@ -33,7 +33,7 @@ SCHEMA = 2
 and notes are objects; both layouts are read."""
 MODEL_SETTINGS = (
     "model", "shader", "shader_definition", "samples", "rays", "phase", "fov", "distance",
-    "pass_scale",
+    "pass_scale", "border",
 )  # fmt: skip
 """Keys of fit.json that describe the model and its light pass and are not fitted."""
 
@@ -65,7 +65,7 @@ FIT_SCHEMA: dict[str, Any] = {
                 "properties": {"path": _TEXT, "sha256": _TEXT},
             },
         },
-        **dict.fromkeys(("model", "shader", "phase", "transfer"), _TEXT),
+        **dict.fromkeys(("model", "shader", "phase", "transfer", "border"), _TEXT),
         **{key: {"type": "integer", "minimum": 1, "maximum": 10**6} for key in ("samples", "rays")},
         "shader_definition": {"type": "object", "maxProperties": 64},
         **dict.fromkeys(("fov", "distance"), _NUMBER),

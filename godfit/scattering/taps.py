@@ -94,12 +94,3 @@ def averaging_taps(samples: Count) -> Taps:
     ray (Mitchell, GPU Gems 3, ch. 13, equation 3).
     """
     return Taps(0.0, 1 / samples, 1.0, 1 / samples, as_count(samples))
-
-
-def __getattr__(name: str) -> Any:
-    """Conventions were defined here once, and are still found here by their old address."""
-    if name in ("CONVENTIONS", "Convention", "convention"):
-        from godfit.scattering import conventions
-
-        return getattr(conventions, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

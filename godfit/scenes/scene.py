@@ -25,12 +25,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from godfit.errors import InputError, shown
-from godfit.io.image import TRANSFERS
 from godfit.io.sidecar import SIDECAR_SCATTERING, shader_beside
 from godfit.io.toml_table import Colour, Table
+from godfit.io.transfer import TRANSFERS, checked_transfer
 from godfit.runtime.guest import own_settings
 from godfit.runtime.memory import check_memory
-from godfit.scattering.conventions import convention
+from godfit.scattering.conventions import AUTO, convention
 from godfit.scattering.parameters import SCATTERING as PARAMETERS
 from godfit.scenes import mesh
 from godfit.scenes.gltf_view import view_of
@@ -372,10 +372,14 @@ def _setting(table: Table, key: str) -> Any:
     expected = SCATTERING_LIMITS.get(key)
     if expected and not expected[0] <= value <= expected[1]:
         raise table.error(key, f"from {expected[0]:g} to {expected[1]:g}", shown(value))
-    if key == "transfer" and value not in TRANSFERS:
-        raise table.error(key, " or ".join(map(repr, TRANSFERS)), shown(value))
+    if key == "transfer":
+        try:
+            checked_transfer(value)
+        except InputError:
+            raise table.error(key, " or ".join(map(repr, TRANSFERS)), shown(value)) from None
     if key == "shader":
         value = None if value is None else shader_beside(table.path, value)
+    if key == "shader" and value != AUTO:
         try:
             convention(value)
         except InputError as error:

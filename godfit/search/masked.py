@@ -27,8 +27,9 @@ from godfit.inference.strategy import (
 from godfit.io.image import LEVELS
 from godfit.models.base import AbstractModel
 from godfit.models.mitchell import Mitchell
+from godfit.models.tinted import Tinted
 from godfit.scattering.radial.exact import at_run_time
-from godfit.search import beyond_light, density_minima, multigrid, multistart
+from godfit.search import beyond_light, conventions, density_minima, multigrid, multistart, scatter
 
 RETRIED = 3
 """Starts from which a doubtful fit is tried once more, each alone."""
@@ -62,6 +63,11 @@ def _(model: AbstractModel, problem: Problem, given: dict[str, float], effort: E
 
 
 @left_open.register
+def _(model: Tinted, problem: Problem) -> Open | None:
+    return left_open(model.shading, problem)
+
+
+@left_open.register
 def _(model: Mitchell, problem: Problem) -> Open | None:
     """Where no pixel shows its own value, exposure and weight act only through their product."""
     both_free = problem.is_free("exposure") and problem.is_free("weight")
@@ -89,9 +95,17 @@ def search_mask(problem: Problem, given: dict[str, float], effort: Effort) -> Fo
     located = _of_better_size(located, given, effort)
     found = located.found
     if effort.inquire and problem.free.any() and problem.model.banded:
-        found = _doubted(located, given, effort)
+        found = conventions.questioned(found, effort)
+        if found.objection:
+            found = found.replaced(inquire=False)
+        else:
+            found = _doubted(located, given, effort)
+    unexplained = found.inquire and found.remedy is None and problem.free.any()
+    cause = scatter.scattered(found) if unexplained else None
+    if cause is not None:
+        found = found.replaced(remarks=(*found.remarks, Remark(cause.words, cause.name)))
     found = hold_open(found, given)
-    found = indirect_inference.corrected(found) if effort.inquire else found
+    found = indirect_inference.corrected(found) if found.inquire else found
     return with_mask_shifts(found)
 
 
@@ -174,7 +188,7 @@ def _doubted(located: Located, given: dict[str, float], effort: Effort) -> Found
     def starts(picture):
         return starting_points(problem.replaced(picture=picture), given)
 
-    return found.replaced(remedy=multistart.remedy(found, starts))
+    return found.replaced(remedy=multistart.remedy(found, starts, effort.report))
 
 
 def _with_plateaus(own: Located, given: dict[str, float], effort: Effort) -> Located:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Callable
 
@@ -18,8 +17,7 @@ from godfit.inference.problem import SEARCH_PIXELS, Problem
 from godfit.inference.settle import Settled, settle
 from godfit.inference.strategy import Report, trading
 from godfit.io.filters import grey
-from godfit.search import multigrid
-from godfit.search.density_minima import WRONG_MODEL_NOISE
+from godfit.search import multigrid, suspects
 
 SAME_END = 0.02
 """Distance of coordinates (density, shares of the picture) within which two fits ended alike."""
@@ -66,29 +64,17 @@ def again(found: Found, starts: list[np.ndarray], report: Report) -> Found:
     return found.replaced(starts_agreed=(agreed, len(ends)))
 
 
-def remedy(found: Found, starts: Starts) -> diagnostics.Suspect | None:
+def remedy(found: Found, starts: Starts, report: Report) -> diagnostics.Suspect | None:
     """What was wrong, if another interpretation of the images is explained far better: the mask's
-    place or the target's transfer. Its fits begin at ``starts``."""
-    words = ""
+    place, or what ``suspects`` tries. Its fits begin at ``starts``."""
+    other = suspects.suspected(found, starts, report)
+    if other is not None:
+        return other
     shift = _other_place(found.problem, starts)
-    if shift is not None:
-        words = diagnostics.WORDS["moved"].format(down=shift[0], right=shift[1])
-    elif found.settled.sigma > WRONG_MODEL_NOISE and _other_transfer(found.problem, starts):
-        words = diagnostics.WORDS["transfer"]
-    return diagnostics.Suspect(1.0, "remedy", words) if words else None
-
-
-def _other_transfer(problem: Problem, starts: Starts) -> bool:
-    """Whether the target, decoded as sRGB, fits a small copy far better than taken as linear.
-    Misfits are both in the target's own levels."""
-    picture = problem.picture.small
-    if picture.transfer != "none" or picture.half == 0:
-        return False
-    linear, coded = (
-        _anew(problem.replaced(picture=dataclasses.replace(picture, transfer=transfer)), starts)
-        for transfer in ("none", "srgb")
-    )
-    return coded.sigma < REMEDIED * linear.sigma
+    if shift is None:
+        return None
+    words = diagnostics.WORDS["moved"].format(down=shift[0], right=shift[1])
+    return diagnostics.Suspect(1.0, "moved", words)
 
 
 def _other_place(problem: Problem, starts: Starts) -> tuple[int, int] | None:

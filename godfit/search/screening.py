@@ -25,7 +25,9 @@ from godfit.inference.strategy import starts, trading
 from godfit.inference.variable_projection import nonnegative_two
 from godfit.io.filters import grey, shrink
 from godfit.io.image import LEVELS, decode
+from godfit.models.coordinates import EXPOSURE, GAIN
 from godfit.models.mitchell import Mitchell
+from godfit.models.tinted import TINT_PARAMETERS, Tinted
 from godfit.runtime.device import on_device
 from godfit.runtime.parallel import map_halves
 from godfit.runtime.program_cache import cached_jit
@@ -50,6 +52,10 @@ NEIGHBOUR_PLACE = 0.2
 """Distance of two lights, in pictures, within which a start is a neighbour of another."""
 NEIGHBOUR_DENSITY = 0.25
 """Difference of two densities within which a start is a neighbour of another."""
+TINY_POWER = 1e-12
+"""Least squared light of green that a tint is relative to: a target may be black there."""
+LEAST_TINT = 1e-3
+"""Least red or blue of a start: from 0 a channel would have no slope."""
 GROUP_BATCH = 256
 """Groups that are solved at once, so that memory does not grow with their number."""
 
@@ -248,6 +254,33 @@ def mitchell_starts(
 @trading.register
 def _(model: Mitchell) -> tuple[str, ...]:
     return "exposure", "decay"
+
+
+@starts.register
+def tinted_starts(
+    model: Tinted, picture: Picture, given: dict[str, float], *, keep: int, seed: int
+) -> list[np.ndarray]:
+    """The starting points of the sum without colour, with the target's colour as the tint."""
+    of_sum = {name: value for name, value in given.items() if name in model.shading.parameters}
+    found = mitchell_starts(model.shading, picture, of_sum, keep=keep, seed=seed)
+    light = np.asarray(decode(picture.levels / np.float32(LEVELS), picture.transfer), np.float64)
+    if picture.background is not None:
+        light = light - np.float32(model.convention.background_gain) * picture.background
+    light = light[picture.valid & ~picture.clipped]
+    power = max(float((light[:, 1] ** 2).sum()), TINY_POWER)
+    tint = np.maximum((light * light[:, 1:2]).sum(0) / power, LEAST_TINT)
+    # The sum is fitted to the mean of the channels, and its exposure is that of green.
+    green = 3 / (tint[0] + 1 + tint[2])
+    for start in found:
+        start[[EXPOSURE, GAIN]] *= np.float32(green)
+    own = zip(TINT_PARAMETERS, tint[[0, 2]].tolist(), strict=True)
+    ends = np.array([given.get(row.name, t) for row, t in own])
+    return [np.append(start, ends).astype(np.float32) for start in found]
+
+
+@trading.register
+def _(model: Tinted) -> tuple[str, ...]:
+    return trading(model.shading)
 
 
 def _with_given(model: Mitchell, start: np.ndarray, given: dict[str, float]) -> np.ndarray:

@@ -14,7 +14,7 @@ from godfit.blind.certainty import RAYS_COST, certainty
 from godfit.blind.panels import panels
 from godfit.io.image import encode
 from godfit.runtime import interrupts
-from godfit.scattering.taps import convention
+from godfit.scattering.conventions import convention
 
 SIZE = 90, 160
 LIGHT = 0.4, 0.55

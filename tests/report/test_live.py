@@ -18,7 +18,7 @@ from godfit.report.live.glsl import fragment_shader
 from godfit.report.live.page import Page, Section, framed
 from godfit.report.live.widget import viewer_widget
 from godfit.report.pages import clip_page, compare_page, fit_page, select_page
-from godfit.scattering.taps import CONVENTIONS
+from godfit.scattering.conventions import CONVENTIONS
 from tests.support.browser import DRAWN, READY, launching, levels, opened, wait_for
 from tests.support.shown_results import clip_result, comparison, fit_result, selection
 

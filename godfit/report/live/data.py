@@ -31,8 +31,8 @@ from godfit.models.tinted import Tinted
 from godfit.report.live.glsl import described
 from godfit.report.text import half_sentence
 from godfit.runtime.guest import as_guest
+from godfit.scattering.conventions import CONVENTIONS
 from godfit.scattering.parameters import is_light, light_parameters
-from godfit.scattering.taps import CONVENTIONS
 
 PAGE_SIDE = 1024
 """Pixels of the longer side of what a page draws, at most: what a screen has room for."""

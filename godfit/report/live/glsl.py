@@ -7,7 +7,7 @@ each of its steps.
 
 from __future__ import annotations
 
-from godfit.scattering.taps import Convention
+from godfit.scattering.conventions import Convention
 
 HEAD = """#version 300 es
 precision highp float;

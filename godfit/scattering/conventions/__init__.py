@@ -20,6 +20,8 @@ from godfit.scattering.conventions import additive, article, composed, means
 from godfit.scattering.conventions.convention import Convention
 from godfit.scattering.conventions.shader_file import SHADER_SUFFIX, read_shader
 
+AUTO = "auto"
+"""Stands for the convention that explains the picture best."""
 CONVENTIONS: dict[str, Convention] = {
     c.name: c for family in (article, additive, means, composed) for c in family.CONVENTIONS
 }

@@ -1,0 +1,272 @@
+"""Shift and scale of a mask against its target, from different sources.
+
+A pixel of the target at column x, from the left edge, shows what the mask has at column a x + b;
+rows have a scale and a shift of their own. The first guesses are that both show the same frame,
+and that the target is a crop of it. From the best, the four numbers are improved by Gauss-Newton
+steps on a few thousand pixels, with the parameters' own steps projected out. A map that is a shift
+by whole pixels, to within its error, is taken as that: the mask is then cropped and not
+interpolated.
+
+The light is in the target's frame. Beyond the target's edge the mask's edge there is repeated,
+which is exact for a light on the picture: its rays do not leave the frame.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from godfit.errors import InputError, Remark
+from godfit.inference.observation import Picture
+from godfit.inference.problem import SEARCH_PIXELS, Problem
+from godfit.inference.settle import Settled, settle
+from godfit.inference.solver import Tangent
+from godfit.inference.strategy import Report, stages, starting_points
+from godfit.search import multigrid
+
+NEAR, NEAR_ASPECT = 0.02, 0.01
+"""Differences of the sides and of the aspects of mask and target, as a share, up to which the mask
+is registered unasked: a crop by a few pixels or a resize by as much happens unnoticed."""
+REGISTERED = 0.1
+"""The same where registration was asked for: farther the two are different frames."""
+STEP = 0.25
+"""Pixels by which the mask is moved for a derivative: over less, few of its edges cross a pixel
+centre, whose interpolation has kinks."""
+ROUNDS = 8
+"""Gauss-Newton steps, at most."""
+LEAST_STEP = 1e-3
+"""Pixels below which another step is not worth it."""
+SHARED, NEARLY_ALL, MOST_VALUES = 0.005, 0.9, 8
+"""Share of a mask's pixels that have one value for it to be a colour; the share of all colours; and
+their number, at most: a clear colour, a light, and a few objects."""
+WHOLE = 0.05
+"""Pixels within which a map is taken as a shift by whole pixels, where that explains no less."""
+
+
+class Map(NamedTuple):
+    """Where the target's pixels lie in the mask: by axis, rows first, ``scale`` and ``shift``, in
+    the mask's pixels for each of the target's and in the mask's pixels."""
+
+    scale: np.ndarray
+    shift: np.ndarray
+
+    def corners(self, size: tuple[int, int]) -> np.ndarray:
+        """(4,) places of the target's first and last edge by axis, which are what is fitted: scale
+        and shift trade with each other."""
+        return np.concatenate([self.shift, self.scale * size + self.shift])
+
+    @staticmethod
+    def of(corners: np.ndarray, size: tuple[int, int]) -> Map:
+        """The map with these ``corners`` for a target of ``size``."""
+        return Map((corners[2:] - corners[:2]) / size, corners[:2])
+
+    @property
+    def whole(self) -> bool:
+        """Whether it is a shift by whole pixels."""
+        return bool((self.scale == 1).all() and (self.shift == np.round(self.shift)).all())
+
+    def applied(self, mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+        """(h, w, ...) the ``mask`` at the target's pixels, its edge repeated."""
+        offset = 0.5 * self.scale + self.shift - 0.5
+
+        def one(channel):
+            places: Any = offset
+            moved: Any = ndimage.affine_transform(
+                channel, self.scale, places, size, order=1, mode="nearest"
+            )
+            return moved
+
+        if mask.ndim == 2:
+            return one(mask)
+        return np.stack([one(mask[..., c]) for c in range(mask.shape[-1])], -1)
+
+
+class Registered(NamedTuple):
+    """The ``picture`` under the registered mask, a ``note`` on the map, and ``shifts``, the changes
+    of the coordinates (p,) by an error of each direction of the map."""
+
+    picture: Picture
+    note: Remark
+    shifts: tuple[np.ndarray, ...]
+
+
+def may_register(mask: tuple[int, ...], target: tuple[int, ...], asked: bool) -> bool:
+    """Whether a mask of a size (h, w) can be registered with a target of another; unasked only
+    where the two differ, by little. Equal shares of both sides are no such difference where the
+    mask is the smaller: that is a light pass at lower resolution."""
+    ratio = np.array(mask[:2]) / np.array(target[:2])
+    if asked:
+        return bool((np.abs(ratio - 1) <= REGISTERED).all())
+    near = bool((np.abs(ratio - 1) <= NEAR).all() and abs(ratio[0] / ratio[1] - 1) <= NEAR_ASPECT)
+    (h, w), (height, width) = mask[:2], target[:2]
+    lower = h <= height and w <= width and abs(w * height - h * width) <= max(width, height)
+    return near and not lower
+
+
+def fitted_size(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """The mask at the target's size, as one frame: what registration begins with."""
+    return Map(np.array(mask.shape[:2]) / size, np.zeros(2)).applied(mask, size)
+
+
+def check_registered(mask: tuple[int, ...], target: tuple[int, ...]) -> None:
+    """Raise InputError for a mask that is too far from its target's size to be registered."""
+    if not may_register(mask, target, asked=True):
+        (h, w), (height, width) = mask[:2], target[:2]
+        raise InputError(
+            f"register: expected a mask within {REGISTERED:.0%} of the target's {width}x{height} "
+            f"pixels, got {w}x{h}; crop or scale it first"
+        )
+
+
+def registered(
+    problem: Problem, mask: np.ndarray, given: dict[str, float], report: Report
+) -> Registered:
+    """The picture of ``problem`` under ``mask`` (H, W, ...) moved and scaled to fit it best."""
+    report("shift and scale of the mask")
+    picture, size = problem.picture, problem.picture.size
+    sides = np.array(mask.shape[:2])
+    guesses = [Map(sides / size, np.zeros(2))]
+    for down, right in itertools.product(*(sorted({0, n // 2, n}) for n in sides - size)):
+        guesses.append(Map(np.ones(2), np.array([down, right], float)))
+    solver = _Solver(problem, mask)
+    begun = [solver.begin(guess, given) for guess in guesses]
+    # A crop may resemble a resize: the best crop and the same frame both go on.
+    crops = sorted(zip(guesses[1:], begun[1:], strict=True), key=lambda pair: pair[1].sigma)
+    ends = [solver.solve(guesses[0].corners(size), begun[0])]
+    ends += [solver.solve(guess.corners(size), z) for guess, z in crops[:1]]
+    corners, settled, slopes, errors = max(ends, key=lambda end: end[1].log_likelihood)
+    found, sharp = Map.of(corners, size), None
+    whole = Map(np.ones(2), np.round(found.shift))
+    exact = [(guesses[0], solver.values)] if solver.values is not None else []
+    if np.abs(whole.corners(size) - corners).max() < WHOLE:
+        exact.append((whole, None))
+    for near, values in exact:
+        other = solver.at(near.corners(size), settled.coordinates, values)[0]
+        if other.log_likelihood >= settled.log_likelihood - 1:
+            found, sharp, settled, errors = near, values, other, np.zeros((0, 4))
+    shifts = tuple(slopes @ error for error in errors)
+    down, right = found.shift
+    words = (
+        f"the mask was registered: scale {found.scale[1]:.6g} x {found.scale[0]:.6g}, shift "
+        f"{right:+.4g} pixels to the right and {down:+.4g} down (noise of {settled.sigma:.2g} "
+        f"levels against {begun[0].sigma:.2g} before)"
+    )
+    return Registered(
+        picture.with_mask(snapped(found.applied(solver.mask, size), sharp)),
+        Remark(words, "register"),
+        shifts,
+    )
+
+
+def few_values(mask: np.ndarray) -> np.ndarray | None:
+    """The values of a mask that was drawn with few colours and without anti-aliasing, and resized:
+    those that many pixels share. None where they are not nearly all of it."""
+    values, counts = np.unique(mask, return_counts=True)
+    shared = counts >= SHARED * mask.size
+    if shared.sum() > MOST_VALUES or counts[shared].sum() < NEARLY_ALL * mask.size:
+        return None
+    return values[shared]
+
+
+def snapped(mask: np.ndarray, values: np.ndarray | None) -> np.ndarray:
+    """The ``mask`` with each value replaced by the nearest of ``values``: as it was before a resize
+    made its edges grey."""
+    if values is None:
+        return mask
+    middles = (values[1:] + values[:-1]) / 2
+    return values[np.searchsorted(middles, mask)].astype(np.float32)
+
+
+class _Solver:
+    """Maps of ``mask`` (H, W, ...) onto the target of a ``problem``."""
+
+    def __init__(self, problem: Problem, mask: np.ndarray) -> None:
+        self.problem, self.mask = problem, np.asarray(mask, np.float32)
+        if problem.picture.mask.ndim == 2 and self.mask.ndim == 3:
+            self.mask = self.mask[..., 0]
+        self.size, self.values = problem.picture.size, few_values(self.mask)
+        self.observation = problem.observe(SEARCH_PIXELS)
+
+    def posed(self, corners: np.ndarray, values: np.ndarray | None = None) -> Problem:
+        """The problem under the mask mapped so, and snapped to ``values``."""
+        moved = snapped(Map.of(corners, self.size).applied(self.mask, self.size), values)
+        return self.problem.replaced(picture=self.problem.picture.with_mask(moved))
+
+    def begin(self, guess: Map, given: dict[str, float]) -> Settled:
+        """Where a search from no start settles under the mask mapped by ``guess``."""
+        problem = self.posed(guess.corners(self.size))
+        starts = starting_points(problem, given)
+        if problem.free.any():
+            climbed = multigrid.climb(
+                problem.small, starts, lambda text: None, stages=stages(problem.model)
+            )
+            starts = [climbed.coordinates]
+        return settle(starts[0], problem, self._view(problem))[0]
+
+    def _view(self, problem: Problem):
+        return self.observation.with_mask(problem.picture.mask)
+
+    def at(
+        self, corners: np.ndarray, start: np.ndarray, values: np.ndarray | None = None
+    ) -> tuple[Settled, Tangent, Problem]:
+        """Where the parameters settle under a map, with the tangent there."""
+        problem = self.posed(corners, values)
+        settled, tangent = settle(start, problem, self._view(problem))
+        return settled, tangent, problem
+
+    def solve(
+        self, corners: np.ndarray, begun: Settled
+    ) -> tuple[np.ndarray, Settled, np.ndarray, np.ndarray]:
+        """The corners that explain the picture best, where the parameters settle there, the slopes
+        (p, 4) of these by the corners, and errors (4, 4): an error of the corners a row."""
+        best, tangent, problem = self.at(corners, begun.coordinates)
+        step, slopes, errors = self._step(corners, best, tangent, problem)
+        part = 1.0
+        for _ in range(ROUNDS):
+            if np.abs(step * part).max() < LEAST_STEP:
+                break
+            other = corners + part * step
+            settled, moved, there = self.at(other, best.coordinates + slopes @ (part * step))
+            if settled.log_likelihood <= best.log_likelihood:
+                part /= 2
+                continue
+            corners, best = other, settled
+            step, slopes, errors = self._step(corners, best, moved, there)
+            part = 1.0
+        return corners, best, slopes, errors
+
+    def _step(
+        self, corners: np.ndarray, settled: Settled, tangent: Tangent, problem: Problem
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The Gauss-Newton step of the corners, the slopes (p, 4) of the parameters by them, and
+        the errors (4, 4) of the corners."""
+        lo, hi = np.asarray(self.observation.lo), np.asarray(self.observation.hi)
+        known = np.isfinite(lo) & np.isfinite(hi)
+        residual = ((lo + hi) / 2 - tangent.prediction)[known].astype(np.float64)
+        columns = []
+        for k in range(4):
+            ends = [self._levels(corners + sign * STEP * np.eye(4)[k], settled) for sign in (1, -1)]
+            columns.append((ends[0] - ends[1])[known] / (2 * STEP))
+        free = problem.free
+        inner = tangent.jacobian[free][:, known].T.astype(np.float64)
+        jacobian = np.concatenate([inner, np.stack(columns, -1)], 1)
+        size = np.maximum(np.sqrt((jacobian**2).sum(0)), 1e-12)
+        solution, *_ = np.linalg.lstsq(jacobian / size, residual, rcond=None)
+        count = int(free.sum())
+        by_corner, *_ = np.linalg.lstsq(inner, -np.stack(columns, -1), rcond=None)
+        slopes = np.zeros((len(free), 4))
+        slopes[free] = by_corner * np.asarray(tangent.scale, float)[free, None]
+        spread = np.linalg.pinv((jacobian / size).T @ (jacobian / size))
+        spread = spread * max(float((residual**2).mean()), 1e-12)
+        covariance = (spread / np.outer(size, size))[count:, count:]
+        values, vectors = np.linalg.eigh(covariance)
+        errors = np.sqrt(np.maximum(values, 0))[:, None] * vectors.T
+        return (solution / size)[count:], slopes, errors
+
+    def _levels(self, corners: np.ndarray, settled: Settled) -> np.ndarray:
+        problem = self.posed(corners)
+        model = problem.at(settled.coordinates)
+        return np.asarray(self._view(problem).predict(model), np.float64)

@@ -1,0 +1,73 @@
+"""Which convention made a picture: every sum as one model with numbers held."""
+
+import numpy as np
+import pytest
+
+import godfit
+from godfit.errors import InputError
+from godfit.scattering.conventions import CONVENTIONS
+from godfit.search import conventions
+from tests.support import distortions, random_targets
+
+SIZE = 72
+
+
+@pytest.fixture(scope="module")
+def picture():
+    mask, truth = distortions.frame(2, SIZE, 60)
+    return mask, random_targets.to_bytes(random_targets.render64(mask / 255, truth)), truth
+
+
+def test_conventions_that_give_one_picture_have_one_form():
+    forms = {name: conventions.form_of(shader) for name, shader in CONVENTIONS.items()}
+    assert forms["three"] is None
+    assert forms["dawntime"] == forms["vesper"] == forms["babylon"] == conventions.Form()
+    assert forms["pmndrs"] == conventions.Form(own=0)
+    assert sum(len(group) for group in conventions.forms().values()) == sum(
+        form is not None for form in forms.values()
+    )
+
+
+def test_names_have_the_number_of_samples_that_gives_the_taps():
+    names = conventions.named(conventions.Form(), 199)
+    assert (names[0].shader, names[0].samples, names[0].default) == ("dawntime", 200, True)
+    for name in names:
+        assert conventions.count_of(CONVENTIONS[name.shader], name.samples) == 199
+    # Without a default or a round number, what the user gave comes first.
+    assert conventions.named(conventions.Form(), 136, "vesper")[0].shader == "vesper"
+
+
+@pytest.mark.usefixtures("single_precision")
+def test_the_shader_is_found_and_ties_are_named(picture):
+    mask, target, truth = picture
+    result = godfit.fit(target, mask=mask, shader="auto")
+    assert result.converged, result.message
+    assert result.model.settings == {"shader": "dawntime", "samples": 60}
+    assert result.params["density"].value == pytest.approx(truth["density"], abs=1e-3)
+    (note,) = [n for n in result.notes if n.startswith("shader: ")]
+    assert "does not distinguish it from vesper with 60 samples" in note
+    with pytest.raises(InputError, match="shader auto: expected --mask"):
+        godfit.fit(target, shader="auto")
+
+
+@pytest.mark.usefixtures("single_precision")
+@pytest.mark.parametrize(
+    ("shader", "samples", "says"),
+    [("dawntime", 120, "give --samples 60"), ("pmndrs", 60, "give --shader dawntime --samples 60")],
+)
+def test_another_shader_or_number_is_not_converged_and_names_what_is_right(
+    picture, shader, samples, says
+):
+    mask, target, _ = picture
+    result = godfit.fit(target, mask=mask, shader=shader, samples=samples)
+    assert not result.converged
+    assert says in result.message
+
+
+def test_a_translated_sum_is_the_same():
+    rng = np.random.default_rng(0)
+    mask = rng.random((9, 11))
+    for name in ("dawntime", "vesper", "babylon"):
+        model = godfit.Mitchell(0.1, 0.9, 0.7, 0.6, (0.3, 0.4), shader=name, samples=12)
+        other = conventions._translated(model, CONVENTIONS["mitchell"])
+        np.testing.assert_allclose(np.asarray(other(mask)), np.asarray(model(mask)), atol=1e-9)

@@ -1,0 +1,54 @@
+"""Masks from another source than their target."""
+
+import numpy as np
+import pytest
+
+import godfit
+from godfit.errors import InputError
+from godfit.search import registration
+from tests.support import distortions, random_targets
+
+SIZE = 96
+
+
+def test_a_map_of_whole_pixels_is_a_crop():
+    rng = np.random.default_rng(0)
+    mask = rng.random((12, 15)).astype(np.float32)
+    crop = registration.Map(np.ones(2), np.array([2.0, 1.0])).applied(mask, (9, 11))
+    np.testing.assert_array_equal(crop, mask[2:11, 1:12])
+    corners = registration.Map(np.array([1.1, 0.9]), np.array([2.0, -1.0])).corners((9, 11))
+    found = registration.Map.of(corners, (9, 11))
+    np.testing.assert_allclose([found.scale, found.shift], [[1.1, 0.9], [2, -1]])
+
+
+def test_a_mask_of_few_colours_is_one_again_after_a_resize():
+    mask = np.where(np.random.default_rng(1).random((40, 40)) < 0.5, 0.0, 1.0).repeat(8, 0)
+    mask = mask.repeat(8, 1).astype(np.float32)
+    grey = registration.Map(np.full(2, 0.99), np.zeros(2)).applied(mask, (323, 323))
+    values = registration.few_values(grey)
+    np.testing.assert_array_equal(values, [0, 1])
+    assert set(np.unique(registration.snapped(grey, values))) == {0, 1}
+    assert registration.few_values(np.random.default_rng(2).random((40, 40))) is None
+
+
+@pytest.mark.usefixtures("single_precision")
+def test_a_cropped_target_is_fitted_with_a_note():
+    mask, truth = distortions.frame(2, SIZE)
+    target = random_targets.to_bytes(random_targets.render64(mask / 255, truth))[1:, :-1]
+    result = godfit.fit(target, mask=mask, shader="dawntime", samples=distortions.SAMPLES)
+    assert result.converged, result.message
+    assert any("+0 pixels to the right and +1 down" in note for note in result.notes)
+    # The light, from the left and the bottom of what is left.
+    light = truth["light_x"] * SIZE / (SIZE - 1), truth["light_y"] * SIZE / (SIZE - 1)
+    for name, value in zip(("light_x", "light_y"), light, strict=True):
+        assert result.params[name].value == pytest.approx(value, abs=1e-4)
+
+
+def test_a_mask_of_another_frame_is_refused_and_the_option_is_named():
+    mask = np.eye(60)
+    with pytest.raises(InputError, match="--register"):
+        godfit.fit(np.eye(50), mask=mask, shader="dawntime")
+    with pytest.raises(InputError, match="within 10% of the target's 50x50"):
+        godfit.fit(np.eye(50), mask=mask, shader="dawntime", register=True)
+    with pytest.raises(InputError, match="no --pass-scale"):
+        godfit.fit(np.eye(60), mask=mask * 0.5, shader="dawntime", register=True, pass_scale=0.5)
