@@ -6,7 +6,7 @@ import dataclasses
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -107,9 +107,9 @@ def fit(
       are estimated from the target: wherever it is not black.
     - `bright_pass`: without a mask, whether the light is all that is bright in the picture, as in a
       photograph, see `godfit.blind.hypotheses`.
-    - `shader`, `samples`: a name in `godfit.scattering.conventions.CONVENTIONS`, by default the scene's or
-      `"mitchell"`; its own default number of samples. `"auto"` is the convention that explains the
-      picture best, with its number of samples where none is given.
+    - `shader`, `samples`: a name in `godfit.scattering.conventions.CONVENTIONS`, by default the
+      scene's or `"mitchell"`; its own default number of samples. `"auto"` is the convention
+      that explains the picture best, with its number of samples where none is given.
     - `rays`: of the light in the plane, for each pixel, by default 64.
     - `lights`: how many lights are summed; they start in order from left to right.
     - `pass_scale`: the size of the light pass against the mask's, at most 1. Where nothing gives it

@@ -58,8 +58,10 @@ class Bench:
     def __init__(self, folder: Path):
         self.folder, self.cache, self.sign = folder, folder / "cache", folder / "has_run"
         self.fit()
-        self.expected = self.fit()[0]
-        assert self.expected is not None, "an undisturbed fit failed"
+        expected, lines = self.fit()
+        if expected is None:
+            sys.exit(f"expected an undisturbed fit to succeed, got {lines}")
+        self.expected = expected
 
     def start(self, out: str = "out", **variables: str) -> subprocess.Popen:
         command = [sys.executable, "-m", "godfit", "fit", str(TARGET), "-o", str(self.folder / out)]

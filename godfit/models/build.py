@@ -69,7 +69,7 @@ def mitchell_template(
         raise InputError(f"border: expected {EDGE} or {BLACK}, got {shown(border)}")
     if border != EDGE and not convention(shader).plain:
         raise InputError(f"border: expected {EDGE} with {shader}, got {border}; leave it out")
-    return Mitchell(1.0, 0.9, 0.5, 0.5, [[0.5, 0.5]] * lights, shader, samples, border)
+    return Mitchell(1.0, 0.9, 0.5, 0.5, [[0.5, 0.5]] * lights, shader, samples, border=border)
 
 
 def mitchell_at(

@@ -82,7 +82,7 @@ class Mitchell(AbstractModel):
 
     def __init__(
         self, exposure, decay, density, weight, light, shader="mitchell", samples=None,
-        full_size=False, border=EDGE,
+        full_size: Any = False, border: Any = EDGE,
     ):  # fmt: skip
         self.exposure, self.decay = on_device(exposure, float), on_device(decay, float)
         self.density, self.weight = on_device(density, float), on_device(weight, float)

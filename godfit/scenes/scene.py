@@ -377,9 +377,8 @@ def _setting(table: Table, key: str) -> Any:
             checked_transfer(value)
         except InputError:
             raise table.error(key, " or ".join(map(repr, TRANSFERS)), shown(value)) from None
-    if key == "shader":
-        value = None if value is None else shader_beside(table.path, value)
     if key == "shader" and value != AUTO:
+        value = shader_beside(table.path, value)
         try:
             convention(value)
         except InputError as error:

@@ -242,7 +242,7 @@ def _translated(model: Mitchell, shader: Convention) -> Mitchell:
     density = float(taps.step) * samples
     return Mitchell(
         own / shader.gain, float(taps.ratio), density, weight, model.light, shader.name, samples,
-        model.border,
+        border=model.border,
     )  # fmt: skip
 
 
