@@ -317,7 +317,12 @@ def _pose(request: Request) -> Posed:
         valid = request.valid
         if valid is not None and request.flip is not None:
             valid = np.flip(valid, FLIPS[request.flip][1])
-        unregistered = _to_register(request, images, pass_scale)
+        if request.mask is not None:
+            values, size = images["mask"].values, images["target"].values.shape[:2]
+            unregistered = registration.unregistered(values, size, request.register, pass_scale)
+        if unregistered is not None:
+            whole = registration.fitted_size(unregistered, size)
+            images["mask"] = dataclasses.replace(images["mask"], values=whole)
         picture = checked_picture(
             images["target"], images["mask"], images.get("background"), valid, pass_scale,
             request.channels or model.channels,
@@ -335,25 +340,6 @@ def _pose(request: Request) -> Posed:
     assert scene is None or isinstance(scene, Scene)
     problem = Problem(model, picture, free, held, request.seed, prior=prior)
     return Posed(problem, given, notes, images, scene, unregistered=unregistered)
-
-
-def _to_register(
-    request: Request, images: dict[str, Image], pass_scale: float
-) -> np.ndarray | None:
-    """The mask, where it is to be registered; the image is then of the target's size. None where
-    it is taken as it is."""
-    mask, size = images["mask"].values, images["target"].values.shape[:2]
-    if request.mask is None or pass_scale != 1:
-        if request.register:
-            raise InputError("register: expected no --pass-scale with it; leave one of them out")
-        return None
-    if request.register:
-        registration.check_registered(mask.shape, size)
-    elif not registration.may_register(mask.shape, size, asked=False):
-        return None
-    resized = registration.fitted_size(mask, size)
-    images["mask"] = dataclasses.replace(images["mask"], values=resized)
-    return mask
 
 
 def _mask_of(scene: Scene, model: AbstractModel, moves: bool) -> np.ndarray:

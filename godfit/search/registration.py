@@ -111,6 +111,22 @@ def fitted_size(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return Map(np.array(mask.shape[:2]) / size, np.zeros(2)).applied(mask, size)
 
 
+def unregistered(
+    mask: np.ndarray, size: tuple[int, ...], asked: bool, pass_scale: float
+) -> np.ndarray | None:
+    """The mask, where it is to be registered with a target of a ``size``; None where it is taken as
+    it is. Raises InputError where registration was ``asked`` for and is not possible."""
+    if pass_scale != 1:
+        if asked:
+            raise InputError("register: expected no --pass-scale with it; leave one of them out")
+        return None
+    if asked:
+        check_registered(mask.shape, size)
+    elif not may_register(mask.shape, size, asked=False):
+        return None
+    return mask
+
+
 def check_registered(mask: tuple[int, ...], target: tuple[int, ...]) -> None:
     """Raise InputError for a mask that is too far from its target's size to be registered."""
     if not may_register(mask, target, asked=True):
@@ -140,7 +156,9 @@ def registered(
     corners, settled, slopes, errors = max(ends, key=lambda end: end[1].log_likelihood)
     found, sharp = Map.of(corners, size), None
     whole = Map(np.ones(2), np.round(found.shift))
-    exact = [(guesses[0], solver.values)] if solver.values is not None else []
+    exact: list[tuple[Map, np.ndarray | None]] = []
+    if solver.values is not None:
+        exact.append((guesses[0], solver.values))
     if np.abs(whole.corners(size) - corners).max() < WHOLE:
         exact.append((whole, None))
     for near, values in exact:

@@ -8,6 +8,7 @@ moment is less than that of noise.
 from __future__ import annotations
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from godfit.inference.diagnostics import Suspect
@@ -66,13 +67,13 @@ def jittered(found: Found) -> Suspect | None:
     pixels = np.asarray(observation.pixels)[known]
     residual = np.asarray(found.evidence.prediction)[known] - ((lo + hi) / 2)[known]
     w = picture.size[1]
-    at = np.stack([pixels % w, pixels // w], -1).astype(np.float32)
+    places = jnp.asarray(np.stack([pixels % w, pixels // w], -1).astype(np.float32))
     mask = picture.mask if picture.mask.ndim == 2 else picture.mask[..., 0]
     change = np.zeros(len(known))
     (taps,) = model.taps
     for light in np.asarray(model.light):
         ends = [
-            np.asarray(radial_sum(mask, light, eqx.tree_at(lambda t: t.lag, taps, lag), at=at))
+            np.asarray(radial_sum(mask, light, eqx.tree_at(lambda t: t.lag, taps, lag), at=places))
             for lag in (-0.5, 0.5)
         ]
         change += LEVELS * (ends[0] - ends[1])

@@ -5,6 +5,7 @@ import pytest
 
 import godfit
 from godfit.errors import InputError
+from godfit.scattering import forms as sums
 from godfit.scattering.conventions import CONVENTIONS
 from godfit.search import conventions
 from tests.support import distortions, random_targets
@@ -19,22 +20,22 @@ def picture():
 
 
 def test_conventions_that_give_one_picture_have_one_form():
-    forms = {name: conventions.form_of(shader) for name, shader in CONVENTIONS.items()}
+    forms = {name: sums.form_of(shader) for name, shader in CONVENTIONS.items()}
     assert forms["three"] is None
-    assert forms["dawntime"] == forms["vesper"] == forms["babylon"] == conventions.Form()
-    assert forms["pmndrs"] == conventions.Form(own=0)
-    assert sum(len(group) for group in conventions.forms().values()) == sum(
+    assert forms["dawntime"] == forms["vesper"] == forms["babylon"] == sums.Form()
+    assert forms["pmndrs"] == sums.Form(own=0)
+    assert sum(len(group) for group in sums.forms().values()) == sum(
         form is not None for form in forms.values()
     )
 
 
 def test_names_have_the_number_of_samples_that_gives_the_taps():
-    names = conventions.named(conventions.Form(), 199)
+    names = sums.named(sums.Form(), 199)
     assert (names[0].shader, names[0].samples, names[0].default) == ("dawntime", 200, True)
     for name in names:
-        assert conventions.count_of(CONVENTIONS[name.shader], name.samples) == 199
+        assert sums.count_of(CONVENTIONS[name.shader], name.samples) == 199
     # Without a default or a round number, what the user gave comes first.
-    assert conventions.named(conventions.Form(), 136, "vesper")[0].shader == "vesper"
+    assert sums.named(sums.Form(), 136, "vesper")[0].shader == "vesper"
 
 
 @pytest.mark.usefixtures("single_precision")
