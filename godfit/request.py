@@ -63,6 +63,11 @@ class Request:
         return self.mask is None and self.scene is None and self.canvas is None
 
     @property
+    def pair(self) -> bool:
+        """Whether it comes with its ordinary pass alone: the effect on, and off."""
+        return self.bare and self.background is not None
+
+    @property
     def kind(self) -> str:
         """The name of the model."""
         return self.model or (Mitchell.name if self.canvas is None else Flatland.name)
@@ -125,9 +130,11 @@ class Request:
             )
         if self.lights != 1:
             raise InputError(f"lights: expected 1 without a mask, got {self.lights}; give --mask")
-        if self.background is not None:
+        if self.background is not None and (self.bright_pass or self.occluder is not None):
+            option = "bright pass" if self.bright_pass else "occluder"
             raise InputError(
-                "background: expected none without a mask, got one; give --mask as well"
+                f"{option}: expected none with two screenshots, got one; leave it out, or leave "
+                "out --background"
             )
         if self.bright_pass and self.occluder is not None:
             raise InputError("occluder: expected none with --bright-pass, got one; give either")

@@ -38,9 +38,7 @@ def decide(mask, light, sure, order, taps, levels):
                 near = 0.0
                 if p == i:
                     near += (1 - z) * ((1 - s) * (a == j) + s * (b == j))
-                if q == i and q != p:
-                    near += z * ((1 - s) * (a == j) + s * (b == j))
-                elif q == i:
+                if (q == i and q != p) or q == i:
                     near += z * ((1 - s) * (a == j) + s * (b == j))
                 itself += c[k] * near
                 rest -= c[k] * near * mask[i, j]

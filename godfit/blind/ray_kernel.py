@@ -14,7 +14,6 @@ import numpy as np
 
 from godfit.runtime.numba_jit import fast_jit, jit
 
-
 TINY = 1e-12
 """Curvature of the cost by an x below which the picture does not depend on it."""
 QUIET = 1e-9
@@ -264,8 +263,8 @@ def cell_means(image, known, at, first_angle, turn, radii, grid):
     value, by_x, by_y, sure = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape)
     apart = turn / rays
     for b in range(len(radii)):
-        parts = min(max(int(math.ceil(radii[b] * step / SPACING)), 1), MOST_PARTS)
-        arcs = min(max(int(math.ceil(radii[b] * apart / SPACING)), 1), MOST_PARTS)
+        parts = min(max(math.ceil(radii[b] * step / SPACING), 1), MOST_PARTS)
+        arcs = min(max(math.ceil(radii[b] * apart / SPACING), 1), MOST_PARTS)
         share = 1.0 / (parts * arcs)
         for a in range(rays):
             total, total_x, total_y, count = 0.0, 0.0, 0.0, 0.0
@@ -291,7 +290,11 @@ def cell_means(image, known, at, first_angle, turn, radii, grid):
                     total_y += bottom - top
                     count += 1
             if count > 0:
-                value[a, b], by_x[a, b], by_y[a, b] = total / count, total_x / count, total_y / count
+                value[a, b], by_x[a, b], by_y[a, b] = (
+                    total / count,
+                    total_x / count,
+                    total_y / count,
+                )
                 most = (sure[a, b] / count - PARTLY_KNOWN) / (1 - PARTLY_KNOWN)
                 sure[a, b] = max(0.0, most) * count * share
     return value, by_x, by_y, sure

@@ -26,6 +26,8 @@ open where nothing speaks against that."""
 FAINT_LIGHT, SMALL_LIGHT = 0.01, 0.04
 """Cost of the logarithms of the light's brightness and of its radius: the tightest disc that
 explains the picture is kept."""
+SMALLEST = 0.025
+"""Radius in widths below which a disc is no better for being smaller: a bin or two."""
 
 
 class Candidate(NamedTuple):
@@ -41,6 +43,14 @@ class Candidate(NamedTuple):
     dim: float
     bright: float
     radius: float
+
+
+class View(NamedTuple):
+    """A light pass in levels, ``image`` (h, w), and ``known`` (h, w), 1 where that is the light
+    pass, 0 where it is at least that."""
+
+    image: np.ndarray
+    known: np.ndarray
 
 
 class Misfit(NamedTuple):
@@ -68,9 +78,7 @@ class RayMisfit:
         count = int(np.log(np.hypot(h, w) / (INNERMOST * w)) / self.step) + 1
         return INNERMOST * w * np.exp(self.step * np.arange(count))
 
-    def __call__(
-        self, at: Candidate, x: np.ndarray, rounds: int, slopes: bool = True
-    ) -> Misfit:
+    def __call__(self, at: Candidate, x: np.ndarray, rounds: int, slopes: bool = True) -> Misfit:
         """The misfit of a candidate. ``x`` (rays, bins), levels of the light pass over the mask's
         values, is where the solution begins and where it is written."""
         h, w = self.image.shape
@@ -93,7 +101,7 @@ class RayMisfit:
         residual = solve_rays(light, weight, design, np.stack([upper, pull]), x, rounds)
         force = weight * residual
         cost = 0.5 * float((force * residual).sum()) + float((pull * (upper - x)).sum())
-        cost += FAINT_LIGHT * np.log(at.bright) + SMALL_LIGHT * np.log(at.radius)
+        cost += FAINT_LIGHT * np.log(at.bright) + SMALL_LIGHT * np.log(max(at.radius, SMALLEST))
         if not slopes:
             return Misfit(cost)
         # How residuals change with each number, while what is between its bounds stays.
@@ -111,7 +119,7 @@ class RayMisfit:
         interior = pull * (~at_bound).sum(0)
         slope[5] += (interior * (1 - inside)).sum()
         slope[6] += (interior * inside).sum() * at.bright + FAINT_LIGHT
-        slope[7] += (interior * wider).sum() + SMALL_LIGHT
+        slope[7] += (interior * wider).sum() + SMALL_LIGHT * (at.radius > SMALLEST)
         slope[7] -= (OPEN / x.size * (upper - x) * partly / self.step).sum()
         return Misfit(cost, slope, curvature(x, weight, design, upper, moved))
 

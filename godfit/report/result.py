@@ -43,7 +43,7 @@ class FitResult:
     ``residual_tails`` their kurtosis, near 3 for Gaussian noise. With ``simulated``, values and
     errors allow for the target's processing, see ``inference/indirect_inference.py``; the
     likelihood does not. ``pass_scale`` is the size of the light pass relative to the mask that was
-    given, None without one.
+    given, None without one. ``mask_estimated`` is True where the mask comes from two screenshots.
     """
 
     converged: bool
@@ -74,6 +74,7 @@ class FitResult:
     starts_agreed: tuple[int, int] | None = None
     simulated: bool = False
     pass_scale: float | None = None
+    mask_estimated: bool = False
     inputs: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
 
     @property
@@ -120,14 +121,18 @@ class FitResult:
             return plot(self)
 
     def save(self, folder: str | os.PathLike[str], command: str = "") -> None:
-        """Write fit.json, fit.png and render.png into ``folder``. Raises OSError, and warns of
-        pictures that fail."""
+        """Write fit.json, fit.png, render.png and, where it was estimated from two screenshots,
+        mask.png into ``folder``. Raises OSError, and warns of pictures that fail."""
 
         def render(path: Path) -> None:
             write_image(path, self.render(), transfer=self.picture.transfer)
 
+        def mask(path: Path) -> None:
+            write_image(path, np.clip(self.mask, 0, 1))
+
+        images = {"render.png": render} | ({"mask.png": mask} if self.mask_estimated else {})
         record = ("fit.json", self.record(command))
-        write_result(Path(folder), record, ("fit.png", self.plot), {"render.png": render})
+        write_result(Path(folder), record, ("fit.png", self.plot), images)
 
     def _repr_html_(self) -> str:
         return html(self)

@@ -153,6 +153,7 @@ def verdict(
         starts_agreed=found.starts_agreed,
         simulated=found.scatter is not None,
         pass_scale=found.pass_scale,
+        mask_estimated=found.mask_estimated,
         inputs=files,
     )
 
