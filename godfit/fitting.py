@@ -232,7 +232,8 @@ def _fit_pair(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     factor = found.texels.factor
 
     def posed(mask: np.ndarray, usable: np.ndarray) -> Problem:
-        image = Image(mask.astype(np.float32), None, "none", "", "")
+        values = mask if mask.shape[-1] == 3 else mask[..., 0]
+        image = Image(values.astype(np.float32), None, "none", "", "")
         pixels = np.kron(usable, np.ones((factor, factor), bool)) & shown
         picture = checked_picture(
             images["target"], image, images["background"], pixels, 1.0, request.channels or 1

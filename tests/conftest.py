@@ -61,6 +61,8 @@ COMPILED = (
     "godfit.scenes.shadow_maps",
     "godfit.blind.lasso",
     "godfit.blind.consensus",
+    "godfit.blind.ray_kernel",
+    "godfit.blind.mask_kernel",
     "godfit.scattering.mask_jacobian",
     "godfit.blind.disc_sums",
     "godfit.models.disc_box",

@@ -38,7 +38,8 @@ def alternate(
     """The fit of two screenshots from where a search led. ``posed`` makes the problem of a mask
     (h, w, c) from it and (h, w), which of its texels are fitted."""
     best, model, mask, last = None, pair.model, pair.mask, None
-    usable = ~ndimage.binary_dilation((pair.texels.sure == 0).any(-1), iterations=BESIDE_CLIPPED)
+    clipped = (pair.texels.sure == 0).any(-1)
+    usable = np.logical_not(ndimage.binary_dilation(clipped, iterations=BESIDE_CLIPPED))
     for turn in range(ROUNDS if not pair.objection else 0):
         report(f"mask and numbers in turn, {turn + 1}")
         mask = labelled_mask(pair.texels, model, mask, pair.places[0].at)

@@ -18,7 +18,7 @@ OWN = (0.5, 5.0)
 """Range of the own pixel's weight times the number of taps: that of 1 over a shader's weight."""
 COARSE = (28, 0.13)
 """Rays and step of the misfit on the grid: a quarter of the work."""
-FINE = (72, 0.05)
+FINE = (64, 0.055)
 """Those of the last climb, on the light pass's own texels."""
 GRID = 20
 """Lights of the grid across the picture's width."""
@@ -26,11 +26,11 @@ MARGIN = 0.15
 """How far the grid goes beyond the picture, as a share of its size."""
 GRID_NUMBERS = ((2.0, 0.8, 0.05), (5.0, 0.8, 0.05), (3.0, 0.8, 0.12))
 """Attenuation, density and radius at each of the lights."""
-STARTS = 8
+STARTS = 6
 """Lights of the grid from which the numbers are solved for."""
 APART = 0.04
 """Distance of two of them, in widths, at least."""
-KEPT = 4
+KEPT = 3
 """The best of them, which are solved for once more on finer rays."""
 FIRST_DAMPING, MOST_DAMPING = 0.1, 1e4
 """Damping of the first step, and that from which a candidate is left where it is."""
@@ -87,7 +87,7 @@ class Place(NamedTuple):
 
 def _unpacked(z: np.ndarray) -> Candidate:
     z = z * SCALES
-    return Candidate(*map(float, z[:6]), float(np.exp(z[6])), float(np.exp(z[7])))
+    return Candidate(*z[:6].tolist(), bright=float(np.exp(z[6])), radius=float(np.exp(z[7])))
 
 
 def climb(misfit: RayMisfit, start: Candidate, ranges: Ranges, steps: int) -> Place:
@@ -145,7 +145,8 @@ def first_places(misfit: RayMisfit, lights: np.ndarray, ranges: Ranges) -> list[
     def best(light: np.ndarray) -> Place:
         x, places = np.empty((misfit.rays, len(misfit.radii))), []
         for kappa, rho, radius in GRID_NUMBERS:
-            at = Candidate(*map(float, light), kappa, rho, own, dim, bright, radius)
+            u, v = map(float, light)
+            at = Candidate(u, v, kappa, rho, own, dim, bright, radius)
             x[:] = dim
             places.append(Place(at, misfit(at, x, GRID_ROUNDS, False).cost))
         return min(places, key=_cost)
@@ -162,7 +163,7 @@ def apart(places: list[Place], count: int, aspect: float) -> list[Place]:
     return kept
 
 
-SHRINK = 0.88
+SHRINK = 0.85
 """Factor of the radius from one climb to the next: two bins."""
 WORSE = 0.02
 """Rise of the cost over the least one from which smaller radii are not tried."""
