@@ -15,9 +15,11 @@ from godfit.io.image import LEVELS
 SHARPENED = 6
 """Steps by which the mean over a texel's pixels is corrected for the bilinear read between them:
 the error shrinks by a quarter with each."""
-HALF_SIZE_ERROR = 1.0
-"""Largest root mean square difference, in half-widths of the pixels, between a light pass and its
-copy of half the size read bilinearly, if it is such a copy."""
+HALF_SIZE_ERROR = 3.0
+"""Difference, in half-widths of the pixels, between a light pass and its copy of half the size read
+bilinearly, up to which it is such a copy. Rounding twice leaves two."""
+HALF_SIZE_SHARE = 0.999
+"""Share of the pixels that must be as near: an edge of the mask is a few in a thousand."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -63,7 +65,7 @@ def texels_of(light: LightPass, valid: np.ndarray | None) -> TexelLight:
     if not check.any():
         return whole
     error = ((upsampled(values, light.size) - light.values) / np.maximum(light.half, 0.5))[check]
-    if np.sqrt(np.mean(error**2)) > HALF_SIZE_ERROR:
+    if np.quantile(np.abs(error), HALF_SIZE_SHARE) > HALF_SIZE_ERROR:
         return whole
     hidden = shrink((whole.sure < 0).astype(np.float32), small) > 0
     # The correction reads the neighbours: beside what is clipped there is a bound alone.

@@ -14,8 +14,9 @@ SCALES = np.array([0.01, 0.01, 0.5, 0.05, 0.005, 3.0, 0.2, 0.2])
 LOWEST = np.array([-0.5, -0.5, 0.02, 0.1, 0.0, 1e-3, 1.0, np.log(0.012)])
 HIGHEST = np.array([1.5, 1.5, 20.0, 0.995, 0.3, 250.0, 9.0, np.log(0.4)])
 """Ranges of the eight numbers, the last two as logarithms."""
-OWN = (0.5, 5.0)
-"""Range of the own pixel's weight times the number of taps: that of 1 over a shader's weight."""
+OWN = (0.9, 3.5)
+"""Range of the own pixel's weight times the number of taps: that of 1 over a shader's weight,
+whose sliders end at 1."""
 COARSE = (28, 0.13)
 """Rays and step of the misfit on the grid: a quarter of the work."""
 FINE = (64, 0.055)

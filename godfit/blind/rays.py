@@ -64,7 +64,10 @@ class Misfit(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RayMisfit:
-    """The misfit on a copy (h, w) of a light pass in levels, known where ``known`` is 1."""
+    """The misfit on a copy (h, w) of a light pass in levels, known where ``known`` is 1.
+
+    There are so many ``rays``, and bins a ``step`` apart.
+    """
 
     image: np.ndarray
     known: np.ndarray
@@ -101,7 +104,8 @@ class RayMisfit:
         residual = solve_rays(light, weight, design, np.stack([upper, pull]), x, rounds)
         force = weight * residual
         cost = 0.5 * float((force * residual).sum()) + float((pull * (upper - x)).sum())
-        cost += FAINT_LIGHT * np.log(at.bright) + SMALL_LIGHT * np.log(max(at.radius, SMALLEST))
+        cost += float(FAINT_LIGHT * np.log(at.bright))
+        cost += float(SMALL_LIGHT * np.log(max(at.radius, SMALLEST)))
         if not slopes:
             return Misfit(cost)
         # How residuals change with each number, while what is between its bounds stays.
