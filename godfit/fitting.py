@@ -14,15 +14,21 @@ import numpy as np
 # Importing these registers the searches of each model.
 import godfit.flatland.starts
 import godfit.search  # noqa: F401
-from godfit.blind import bare_fit
+from godfit.blind import bare_fit, light_pass, pair_fit, two_screenshots
 from godfit.errors import InputError, Remark
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.fit_setup import prepare_fit
 from godfit.inference.allowances.prior import checked_prior
 from godfit.inference.fitted import Found
-from godfit.inference.problem import MAX_VALUES, Problem, checked_picture, given_and_held
+from godfit.inference.problem import (
+    MAX_VALUES,
+    Problem,
+    check_size,
+    checked_picture,
+    given_and_held,
+)
 from godfit.inference.strategy import Effort, left_open, refined_mask, search
-from godfit.io.image import Image
+from godfit.io.image import Image, decode
 from godfit.io.sources import FLIPS, Source, occluder_mask, read_source, turned, without_holes
 from godfit.models.base import AbstractModel
 from godfit.models.build import mitchell_template, staged_template, template
@@ -190,6 +196,8 @@ def _fit(request: Request) -> FitResult:
 def found_for(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image]]:
     """What the search of a checked request leads to, notes, and the images by role: a fit before
     its verdict."""
+    if request.pair:
+        return _fit_pair(request)
     if request.bare:
         return _fit_bare(request)
     request, found_out = _with_shader(request)
@@ -254,6 +262,74 @@ def _fit_bare(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     )  # fmt: skip
     found, notes = bare_fit.found_in(images["target"], shading, asked, request.report)
     return found, notes, images
+
+
+def _fit_pair(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image]]:
+    """The fit of two screenshots, the effect on and off: the mask from the light pass between
+    them, then the fit with that mask, in turn."""
+    settings = request.settings
+    shading = mitchell_template(settings.get("shader", "mitchell"), settings.get("samples"), 1)
+    if shading.convention.box:
+        raise InputError(
+            f"shader: expected a sum along rays with two screenshots, got '{shading.shader}', "
+            "whose passes are boxes; give --mask as well"
+        )
+    target = _target_of(request)
+    scene = read_source(request.background, request.transfer, "background")
+    check_size(scene, target)
+    encodings = light_pass.encodings_of(request.transfer, shading.convention)
+    light = light_pass.light_pass(target, scene, shading.convention, encodings, request.valid)
+    request.report("light pass of the two screenshots")
+    found = two_screenshots.found_in(light, shading, request.valid, request.light_near)
+    images = {
+        "target": _reread(target, request.target, light.blend.transfer),
+        "background": _reread(scene, request.background, light.blend.scene),
+    }
+    size = target.values.shape[:2]
+    shown = np.ones(size, bool) if request.valid is None else request.valid
+    factor = found.texels.factor
+
+    def posed(mask: np.ndarray, usable: np.ndarray) -> Problem:
+        values = mask if mask.shape[-1] == 3 else mask[..., 0]
+        image = Image(values.astype(np.float32), None, "none", "", "")
+        pixels = np.kron(usable, np.ones((factor, factor), bool)) & shown
+        picture = checked_picture(
+            images["target"], image, images["background"], pixels, 1.0, request.channels or 1
+        )
+        held = np.full(len(found.model.parameters), np.nan, np.float32)
+        if not found.model.convention.own_pixel:
+            at = list(found.model.parameters).index("exposure")
+            held[at] = float(found.model.exposure)
+        return Problem(found.model, picture, np.isnan(held), held, request.seed)
+
+    settled = pair_fit.alternate(found, posed, request.report)
+    notes = _pair_notes(request, light.blend)
+    stripped = {role: dataclasses.replace(im, values=NO_VALUES) for role, im in images.items()}
+    return settled, notes, stripped
+
+
+def _reread(image: Image, source: Source, transfer: str) -> Image:
+    """The image in linear light by another ``transfer`` than it was read with."""
+    if image.transfer == transfer:
+        return image
+    values = decode(image.encoded.astype(np.float64), transfer).astype(np.float32)
+    return dataclasses.replace(image, values=values, transfer=transfer)
+
+
+def _pair_notes(request: Request, blend: light_pass.Blend) -> tuple[str, ...]:
+    """Notes on what was assumed of two screenshots."""
+    notes = (
+        Remark(
+            "mask: estimated from the two screenshots, its brightest value taken as 1; exposure is "
+            "that of such a mask; correct mask.png and give it as --mask for an exact fit",
+            "mask",
+        ),
+    )
+    if blend.transfer != request.transfer:
+        words = f"transfer: the target is taken as {blend.transfer}, the background as "
+        words += f"{blend.scene}: the light is then alike in all channels"
+        notes += (Remark(words, "transfer"),)
+    return notes
 
 
 def _target_of(request: Request) -> Image:

@@ -71,6 +71,11 @@ class Request:
         return self.mask is None and self.scene is None and self.canvas is None
 
     @property
+    def pair(self) -> bool:
+        """Whether it comes with its ordinary pass alone: the effect on, and off."""
+        return self.bare and self.background is not None
+
+    @property
     def kind(self) -> str:
         """The name of the model."""
         return self.model or (Mitchell.name if self.canvas is None else Flatland.name)
@@ -165,9 +170,11 @@ class Request:
             raise InputError(
                 f"mask: expected --mask or --scene with the model {self.kind}, got neither"
             )
-        if self.background is not None:
+        if self.background is not None and (self.bright_pass or self.occluder is not None):
+            option = "bright pass" if self.bright_pass else "occluder"
             raise InputError(
-                "background: expected none without a mask, got one; give --mask as well"
+                f"{option}: expected none with two screenshots, got one; leave it out, or leave "
+                "out --background"
             )
         if self.bright_pass and self.occluder is not None:
             raise InputError("occluder: expected none with --bright-pass, got one; give either")

@@ -60,6 +60,8 @@ COMPILED = (
     "godfit.scenes.contours",
     "godfit.scenes.intersections",
     "godfit.scenes.shadow_maps",
+    "godfit.blind.ray_kernel",
+    "godfit.blind.mask_kernel",
     "godfit.scattering.mask_jacobian",
     "godfit.blind.misfit_kernel",
     "godfit.models.disc_box",

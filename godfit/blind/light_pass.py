@@ -128,3 +128,11 @@ def _merged(one: LightPass) -> LightPass:
     values = np.where(known, (weight * one.values).sum(-1) / np.maximum(total, 1e-12), least)
     half = np.where(known, np.where(one.known, one.half, np.inf).min(-1), one.half.min(-1))
     return LightPass(values[..., None], half[..., None], known[..., None], one.blend)
+
+
+def encodings_of(transfer: str, shader: Convention) -> tuple[tuple[str, str], ...]:
+    """Transfers of composite and ordinary pass that are tried: the given one, and where none is
+    given and the shader's engine works in linear light, which screen blends do, all."""
+    if transfer != "none":
+        return tuple(both for both in ENCODINGS if both[0] == transfer)
+    return ENCODINGS if shader.blend == "screen" else ENCODINGS[:1]

@@ -15,9 +15,11 @@ from godfit.io.image import LEVELS
 SHARPENED = 6
 """Steps by which the mean over a texel's pixels is corrected for the bilinear read between them:
 the error shrinks by a quarter with each."""
-HALF_SIZE_ERROR = 1.0
-"""Largest root mean square difference, in half-widths of the pixels, between a light pass and its
-copy of half the size read bilinearly, if it is such a copy."""
+HALF_SIZE_ERROR = 3.0
+"""Difference, in half-widths of the pixels, between a light pass and its copy of half the size read
+bilinearly, up to which it is such a copy. Rounding twice leaves two."""
+HALF_SIZE_SHARE = 0.999
+"""Share of the pixels that must be as near: an edge of the mask is a few in a thousand."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -63,10 +65,11 @@ def texels_of(light: LightPass, valid: np.ndarray | None) -> TexelLight:
     if not check.any():
         return whole
     error = ((upsampled(values, light.size) - light.values) / np.maximum(light.half, 0.5))[check]
-    if np.sqrt(np.mean(error**2)) > HALF_SIZE_ERROR:
+    if np.quantile(np.abs(error), HALF_SIZE_SHARE) > HALF_SIZE_ERROR:
         return whole
     hidden = shrink((whole.sure < 0).astype(np.float32), small) > 0
-    sure = np.where(share == 1, 1, np.where(hidden, -1, 0))
+    # The correction reads the neighbours: beside what is clipped there is a bound alone.
+    sure = np.where(near, 1, np.where(hidden, -1, 0))
     return TexelLight(values, sure, 2)
 
 
@@ -92,8 +95,10 @@ def solved_mask(
     return mask, total * LEVELS
 
 
-BOXED_STEPS = 200
+BOXED_STEPS = 600
 """Steps of the projected gradient on texels of which a bound alone is known."""
+NEAR_CLIPPED = 1.5
+"""Distance from the light, in that of the farthest clipped texel, up to which texels are near."""
 AROUND = 6000
 """Texels about the clipped ones whose light pass decides them, at most."""
 
@@ -131,7 +136,11 @@ def clipped_texels(texels, k, mask, model, seed=0):
     reach = radius[open_].max() / max(1 - float(model.density), 0.05)
     pixels = np.flatnonzero((sure == 1) & (radius < reach))
     if len(pixels) > AROUND:
-        pixels = np.random.default_rng(seed).permutation(pixels)[:AROUND]
+        # The nearest ones resolve the shape, those farther out what tells one radius from another.
+        near = pixels[radius[pixels] < NEAR_CLIPPED * radius[open_].max()]
+        drawn = np.random.default_rng(seed).permutation(len(pixels))
+        near = near[np.random.default_rng(seed).permutation(len(near))[: AROUND // 2]]
+        pixels = np.union1d(near, pixels[drawn[: AROUND - len(near)]])
     unknown = np.full(h * w, -1, np.int64)
     unknown[open_] = np.arange(len(open_))
     t = np.concatenate([[0.0], np.asarray(taps.t, float)])
@@ -158,8 +167,47 @@ def clipped_texels(texels, k, mask, model, seed=0):
     return out.reshape(h, w)
 
 
-def labelled(mask, sure, levels):
-    """The mask (h, w) at the nearest of its ``levels`` where known."""
-    levels = np.asarray(levels)
-    near = levels[np.abs(mask[..., None] - levels).argmin(-1)]
-    return near
+def mask_under(texels: TexelLight, model, at) -> np.ndarray:
+    """The mask (h, w, c) under a ``model``, begun with the disc of a candidate ``at`` where the
+    light pass is clipped, and its dim background elsewhere."""
+    h, w, channels = texels.values.shape
+    rows, columns = np.mgrid[:h, :w]
+    away = np.hypot((columns + 0.5) / w - at.u, ((h - rows - 0.5) / h - at.v) * h / w)
+    begun = np.where(texels.sure == 0, (away < at.radius)[..., None], at.dim / at.bright)
+    begun = begun.astype(float)
+    for k in range(channels):
+        begun[..., k] = clipped_texels(texels, k, begun[..., k], model)
+    return solved_mask(texels, model, begun, np.array([1.0]))[0]
+
+
+WITHIN_DIM = 1.6
+"""Value of the mask, in that of its dim background, up to which a texel is one or black: brighter
+ones are a light's."""
+INNER_TURNS = 2
+"""Turns of clipped and known texels until both agree."""
+
+
+def labelled_mask(texels: TexelLight, model, begun: np.ndarray, at) -> np.ndarray:
+    """The mask (h, w, c) under a ``model``, from one ``begun``, with texels of the dim background
+    at its value or black, and no light farther from the light than the disc of ``at`` reaches."""
+    mask = begun.copy()
+    h, w, channels = mask.shape
+    rows, columns = np.mgrid[:h, :w]
+    away = np.hypot((columns + 0.5) / w - at.u, ((h - rows - 0.5) / h - at.v) * h / w)
+    for _ in range(INNER_TURNS):
+        for k in range(channels):
+            mask[..., k] = clipped_texels(texels, k, mask[..., k], model)
+        mask, _ = solved_mask(texels, model, mask, np.array([1.0]))
+        for k in range(channels):
+            sure, one = texels.sure[..., k] == 1, mask[..., k]
+            dim = dim_level(one, texels.sure[..., k])
+            flat = np.where(one > dim / 2, dim, 0.0)
+            low = (one <= WITHIN_DIM * dim) | (away > FAR_OFF * at.radius)
+            mask[..., k] = np.where(sure & low, flat, one)
+    for k in range(channels):
+        mask[..., k] = clipped_texels(texels, k, mask[..., k], model)
+    return mask
+
+
+FAR_OFF = 1.5
+"""Distance from the light, in radii of its disc, beyond which no texel is a light's."""

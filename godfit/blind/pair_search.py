@@ -6,31 +6,33 @@ from typing import NamedTuple
 
 import numpy as np
 
-from godfit.blind.rays import Candidate, RayMisfit
+from godfit.blind.rays import Candidate, RayMisfit, View
+from godfit.runtime.parallel import parallel_map
 
 SCALES = np.array([0.01, 0.01, 0.5, 0.05, 0.005, 3.0, 0.2, 0.2])
 """Steps of a candidate's numbers that change the cost alike; the last two are logarithms."""
 LOWEST = np.array([-0.5, -0.5, 0.02, 0.1, 0.0, 1e-3, 1.0, np.log(0.012)])
 HIGHEST = np.array([1.5, 1.5, 20.0, 0.995, 0.3, 250.0, 9.0, np.log(0.4)])
 """Ranges of the eight numbers, the last two as logarithms."""
-OWN = (0.5, 5.0)
-"""Range of the own pixel's weight times the number of taps: that of 1 over a shader's weight."""
+OWN = (0.9, 3.5)
+"""Range of the own pixel's weight times the number of taps: that of 1 over a shader's weight,
+whose sliders end at 1."""
 COARSE = (28, 0.13)
 """Rays and step of the misfit on the grid: a quarter of the work."""
-FINE = (80, 0.045)
+FINE = (64, 0.055)
 """Those of the last climb, on the light pass's own texels."""
-GRID = 26
+GRID = 20
 """Lights of the grid across the picture's width."""
 MARGIN = 0.15
 """How far the grid goes beyond the picture, as a share of its size."""
 GRID_NUMBERS = ((2.0, 0.8, 0.05), (5.0, 0.8, 0.05), (3.0, 0.8, 0.12))
 """Attenuation, density and radius at each of the lights."""
-STARTS = 8
+STARTS = 6
 """Lights of the grid from which the numbers are solved for."""
 APART = 0.04
 """Distance of two of them, in widths, at least."""
 KEPT = 3
-"""The best of them, which are solved for once more on the fine rays."""
+"""The best of them, which are solved for once more on finer rays."""
 FIRST_DAMPING, MOST_DAMPING = 0.1, 1e4
 """Damping of the first step, and that from which a candidate is left where it is."""
 LEAST_CURVATURE = 1e-3
@@ -39,6 +41,12 @@ LONGEST_STEP = 3.0
 """Longest step, in scales: nearly linear changes."""
 SMALL_GAIN = 5e-5
 """Gain in cost of a step from which two of them are the last."""
+FIRST_BRIGHT = 2.0
+"""Brightness of the first lights, in that of the brightest pixel: most discs are clipped."""
+WIDEST = 0.2
+"""Radius of the widest disc that a search begins with, in widths."""
+GRID_ROUNDS = 3
+"""Rounds along each ray on the grid."""
 FIRST_SWEEPS, SWEEPS = 8, 3
 """Sweeps along each ray from nothing, and from where the last candidate's solution is."""
 
@@ -80,7 +88,7 @@ class Place(NamedTuple):
 
 def _unpacked(z: np.ndarray) -> Candidate:
     z = z * SCALES
-    return Candidate(*map(float, z[:6]), float(np.exp(z[6])), float(np.exp(z[7])))
+    return Candidate(*z[:6].tolist(), bright=float(np.exp(z[6])), radius=float(np.exp(z[7])))
 
 
 def climb(misfit: RayMisfit, start: Candidate, ranges: Ranges, steps: int) -> Place:
@@ -91,7 +99,8 @@ def climb(misfit: RayMisfit, start: Candidate, ranges: Ranges, steps: int) -> Pl
     here = misfit(_unpacked(z), x, FIRST_SWEEPS)
     small = 0
     for _ in range(steps):
-        assert here.slope is not None and here.curvature is not None
+        assert here.slope is not None
+        assert here.curvature is not None
         slope, bend = here.slope * SCALES, here.curvature * np.outer(SCALES, SCALES)
         # A number at its bound that would leave its range stays.
         stuck = ((z <= ranges.lower) & (slope > 0)) | ((z >= ranges.upper) & (slope < 0))
@@ -123,31 +132,27 @@ def grid_lights(size: tuple[int, int], near: tuple[float, float] | None) -> np.n
         return np.array([(near[0] + a, near[1] + b) for a in steps for b in steps])
     h, w = size
     across = np.linspace(-MARGIN, 1 + MARGIN, GRID)
-    rows = max(4, int(round(GRID * h / w)))
+    rows = max(4, round(GRID * h / w))
     up = np.linspace(-MARGIN, 1 + MARGIN, rows)
     return np.array([(a, b) for a in across for b in up])
 
 
-def first_places(image, known, lights, ranges: Ranges) -> list[Place]:
-    misfit = RayMisfit(image, known, *COARSE)
-    shown = image[known > 0]
-    dim = float(np.median(shown))
-    bright = 2 * max(float(shown.max()), 50.0)
-    own = float(
-        np.clip(1.4 * ranges.lower[4] / OWN[0], ranges.lower[4], ranges.upper[4]) * SCALES[4]
-    )
-    x = np.empty((misfit.rays, len(misfit.radii)))
-    out = []
-    for u, v in lights:
-        best = None
+def first_places(misfit: RayMisfit, lights: np.ndarray, ranges: Ranges) -> list[Place]:
+    """The best of a few numbers at each of ``lights`` (n, 2), best first."""
+    dim = float(np.median(misfit.image[misfit.known > 0]))
+    bright = float(FIRST_BRIGHT * np.exp(ranges.lower[6] * SCALES[6]))
+    own = float(np.sqrt(ranges.lower[4] * ranges.upper[4]) * SCALES[4])
+
+    def best(light: np.ndarray) -> Place:
+        x, places = np.empty((misfit.rays, len(misfit.radii))), []
         for kappa, rho, radius in GRID_NUMBERS:
+            u, v = map(float, light)
             at = Candidate(u, v, kappa, rho, own, dim, bright, radius)
             x[:] = dim
-            value = misfit(at, x, 3, False).cost
-            if best is None or value < best.cost:
-                best = Place(at, value)
-        out.append(best)
-    return sorted(out, key=lambda place: place.cost)
+            places.append(Place(at, misfit(at, x, GRID_ROUNDS, False).cost))
+        return min(places, key=_cost)
+
+    return sorted(parallel_map(best, lights), key=_cost)
 
 
 def apart(places: list[Place], count: int, aspect: float) -> list[Place]:
@@ -159,7 +164,7 @@ def apart(places: list[Place], count: int, aspect: float) -> list[Place]:
     return kept
 
 
-SHRINK = 0.88
+SHRINK = 0.85
 """Factor of the radius from one climb to the next: two bins."""
 WORSE = 0.02
 """Rise of the cost over the least one from which smaller radii are not tried."""
@@ -183,17 +188,27 @@ def squeezed(misfit: RayMisfit, start: Candidate, ranges: Ranges, steps: int) ->
     return best
 
 
-def search(image, known, texels, ranges: Ranges, near=None) -> list[Place]:
-    """Places, best first."""
-    h, w = image.shape
-    grid = first_places(image, known, grid_lights((h, w), near), ranges)
-    starts = apart(grid, STARTS, h / w)
-    coarse = RayMisfit(image, known, *COARSE)
-    ends = [squeezed(coarse, s.at._replace(radius=0.15), ranges, 6) for s in starts]
-    middle = RayMisfit(image, known)
-    ends = apart(sorted(ends, key=lambda p: p.cost), KEPT, h / w)
-    ends = [squeezed(middle, p.at._replace(radius=1.6 * p.at.radius), ranges, 6) for p in ends]
-    ends = sorted(ends, key=lambda p: p.cost)
+def search(copy: View, texels: View, ranges: Ranges, near: tuple[float, float] | None):
+    """Places, best first: those of a small ``copy`` of the light pass, solved for on finer and
+    finer rays, at last on its ``texels``. With ``near`` (u, v) lights about there alone."""
+    (h, w), aspect = copy.image.shape, copy.image.shape[0] / copy.image.shape[1]
+    coarse, middle = RayMisfit(*copy, *COARSE), RayMisfit(*copy)
     fine = RayMisfit(*texels, *FINE)
-    last = [squeezed(fine, p.at._replace(radius=1.2 * p.at.radius), ranges, 8) for p in ends[:1]]
-    return [*last, *ends]
+    grid = first_places(coarse, grid_lights((h, w), near), ranges)
+    starts = apart(grid, STARTS, aspect)
+
+    def ended(misfit: RayMisfit, grown: float, steps: int):
+        def work(place: Place) -> Place:
+            at = place.at._replace(radius=min(grown * place.at.radius, WIDEST))
+            return squeezed(misfit, at, ranges, steps)
+
+        return work
+
+    found = parallel_map(ended(coarse, 3.0, 5), starts)
+    found = apart(sorted(found, key=_cost), KEPT, aspect)
+    found = parallel_map(ended(middle, 1.6, 5), found)
+    return sorted(parallel_map(ended(fine, 1.3, 6), found), key=_cost)
+
+
+def _cost(place: Place) -> float:
+    return place.cost

@@ -263,8 +263,8 @@ def cell_means(image, known, at, first_angle, turn, radii, grid):
     value, by_x, by_y, sure = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape)
     apart = turn / rays
     for b in range(len(radii)):
-        parts = min(max(int(math.ceil(radii[b] * step / SPACING)), 1), MOST_PARTS)
-        arcs = min(max(int(math.ceil(radii[b] * apart / SPACING)), 1), MOST_PARTS)
+        parts = min(max(math.ceil(radii[b] * step / SPACING), 1), MOST_PARTS)
+        arcs = min(max(math.ceil(radii[b] * apart / SPACING), 1), MOST_PARTS)
         share = 1.0 / (parts * arcs)
         for a in range(rays):
             total, total_x, total_y, count = 0.0, 0.0, 0.0, 0.0

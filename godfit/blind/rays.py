@@ -26,6 +26,8 @@ open where nothing speaks against that."""
 FAINT_LIGHT, SMALL_LIGHT = 0.01, 0.04
 """Cost of the logarithms of the light's brightness and of its radius: the tightest disc that
 explains the picture is kept."""
+SMALLEST = 0.025
+"""Radius in widths below which a disc is no better for being smaller: a bin or two."""
 
 
 class Candidate(NamedTuple):
@@ -43,6 +45,14 @@ class Candidate(NamedTuple):
     radius: float
 
 
+class View(NamedTuple):
+    """A light pass in levels, ``image`` (h, w), and ``known`` (h, w), 1 where that is the light
+    pass, 0 where it is at least that."""
+
+    image: np.ndarray
+    known: np.ndarray
+
+
 class Misfit(NamedTuple):
     """The cost of a candidate, its slopes (8,) and its curvature (8, 8), by the numbers of a
     candidate, the last two in their logarithms."""
@@ -54,7 +64,10 @@ class Misfit(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RayMisfit:
-    """The misfit on a copy (h, w) of a light pass in levels, known where ``known`` is 1."""
+    """The misfit on a copy (h, w) of a light pass in levels, known where ``known`` is 1.
+
+    There are so many ``rays``, and bins a ``step`` apart.
+    """
 
     image: np.ndarray
     known: np.ndarray
@@ -91,7 +104,8 @@ class RayMisfit:
         residual = solve_rays(light, weight, design, np.stack([upper, pull]), x, rounds)
         force = weight * residual
         cost = 0.5 * float((force * residual).sum()) + float((pull * (upper - x)).sum())
-        cost += FAINT_LIGHT * np.log(at.bright) + SMALL_LIGHT * np.log(at.radius)
+        cost += float(FAINT_LIGHT * np.log(at.bright))
+        cost += float(SMALL_LIGHT * np.log(max(at.radius, SMALLEST)))
         if not slopes:
             return Misfit(cost)
         # How residuals change with each number, while what is between its bounds stays.
@@ -109,7 +123,7 @@ class RayMisfit:
         interior = pull * (~at_bound).sum(0)
         slope[5] += (interior * (1 - inside)).sum()
         slope[6] += (interior * inside).sum() * at.bright + FAINT_LIGHT
-        slope[7] += (interior * wider).sum() + SMALL_LIGHT
+        slope[7] += (interior * wider).sum() + SMALL_LIGHT * (at.radius > SMALLEST)
         slope[7] -= (OPEN / x.size * (upper - x) * partly / self.step).sum()
         return Misfit(cost, slope, curvature(x, weight, design, upper, moved))
 

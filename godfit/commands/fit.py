@@ -157,6 +157,7 @@ def fit(
         result.timing_s["total"] = time.perf_counter() - STARTED
         progress("drawing")
         names = ("fit.json", "fit.png", "render.png")
+        names += ("mask.png",) if result.mask_estimated else ()
         files = save_result(result, run, study.folder, names)
     notes = [*result.notes, *result.undetermined, *result.warnings]
     print_result(result, notes, run, files)

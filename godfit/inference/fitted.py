@@ -31,6 +31,7 @@ class Found:
     - ``scatter`` (p, p) is the covariance of the coordinates where it was simulated.
     - ``notes`` are sentences for the user that are no doubts.
     - ``pass_scale`` is the size of the light pass relative to the mask, None without one.
+    - ``mask_estimated`` is True where the mask comes from two screenshots.
     """
 
     problem: Problem
@@ -47,6 +48,7 @@ class Found:
     scatter: np.ndarray | None = None
     notes: tuple[str, ...] = ()
     pass_scale: float | None = None
+    mask_estimated: bool = False
 
     def replaced(self, **fields: Any) -> Found:
         """The same with other ``fields``."""

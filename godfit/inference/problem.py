@@ -107,6 +107,16 @@ def pixels_used(picture: Picture, seed: int, max_values: int = MAX_VALUES) -> np
     return np.flatnonzero(valid)
 
 
+def check_size(background: Image, target: Image) -> None:
+    """Raise InputError for an ordinary pass of another size than the target's."""
+    size, other = target.values.shape[:2], background.values.shape[:2]
+    if other != size:
+        raise InputError(
+            f"background: expected the target's {size[1]}x{size[0]} pixels, got "
+            f"{other[1]}x{other[0]}; render it at that size"
+        )
+
+
 def checked_picture(
     target: Image,
     mask: Image,
@@ -117,11 +127,8 @@ def checked_picture(
 ) -> Picture:
     """Target, mask and background as one, checked against each other; see ``godfit.fit``."""
     size, values = target.values.shape[:2], mask.values
-    if background is not None and background.values.shape[:2] != size:
-        raise InputError(
-            f"background: expected the target's {size[1]}x{size[0]} pixels, got "
-            f"{background.values.shape[1]}x{background.values.shape[0]}; render it at that size"
-        )
+    if background is not None:
+        check_size(background, target)
     values = shrink_mask(values, pass_scale)
     (h, w), (height, width) = values.shape[:2], size
     # A pass at a fraction of an odd size is rounded to whole pixels: one pixel either way.

@@ -52,7 +52,8 @@ class FitResult:
     errors allow for the target's processing, see ``inference/indirect_inference.py``; the
     likelihood does not. ``pass_scale`` is the size of the light pass relative to the mask that was
     given, None without one. ``where`` has, for each determined parameter, the share (rows, columns)
-    of the information on it that each cell of the picture holds.
+    of the information on it that each cell of the picture holds. ``mask_estimated`` is True where
+    the mask comes from two screenshots.
     """
 
     converged: bool
@@ -84,6 +85,7 @@ class FitResult:
     simulated: bool = False
     pass_scale: float | None = None
     prior: Prior = dataclasses.field(default_factory=dict)
+    mask_estimated: bool = False
     inputs: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
     where: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
 
@@ -132,17 +134,21 @@ class FitResult:
             return plot(self)
 
     def save(self, folder: str | os.PathLike[str], command: str = "", page: bool = True) -> None:
-        """Write fit.json, fit.png, render.png and, with ``page``, report.html into ``folder``.
-        Raises OSError, and warns of pictures that fail."""
+        """Write fit.json, fit.png, render.png, with ``page`` report.html, and mask.png where it was
+        estimated from two screenshots, into ``folder``. Raises OSError, and warns of pictures that
+        fail."""
 
         def render(path: Path) -> None:
             write_image(path, self.render(), transfer=self.picture.transfer, exact=True)
 
+        def mask(path: Path) -> None:
+            write_image(path, np.clip(self.mask, 0, 1))
+
+        images = {"render.png": render} | ({"mask.png": mask} if self.mask_estimated else {})
         record = ("fit.json", self.record(command))
-        files: dict[str, Callable[[Path], None]] = {"render.png": render}
         if page:
-            files[PAGE] = page_writer(lambda: self.page(command))
-        write_result(Path(folder), record, ("fit.png", self.plot), files)
+            images[PAGE] = page_writer(lambda: self.page(command))
+        write_result(Path(folder), record, ("fit.png", self.plot), images)
 
     def _repr_html_(self) -> str:
         """The table, then the page in a frame, whose shader runs at the first touch."""

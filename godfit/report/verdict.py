@@ -158,6 +158,7 @@ def verdict(
         simulated=found.scatter is not None,
         pass_scale=found.pass_scale,
         prior=problem.prior,
+        mask_estimated=found.mask_estimated,
         inputs=files,
         where=_where(found, estimated),
     )

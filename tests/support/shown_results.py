@@ -62,7 +62,8 @@ def selection(size, wordy=False) -> select.Selection:
         "the whole shader",
     ]
     names += ["a coloured light", "two lights of two colours" + (" and more" * 12 if wordy else "")]
-    settled, tangent = Settled(np.zeros(1), 0.3, -1.0, True), Tangent(np.zeros(1), np.zeros(1), np.zeros(1))
+    settled = Settled(np.zeros(1), 0.3, -1.0, True)
+    tangent = Tangent(np.zeros(1), np.zeros(1), np.zeros(1))
     rows = []
     for i, name in enumerate(names):
         coordinates = settled._replace(coordinates=np.full(1, 128.0))

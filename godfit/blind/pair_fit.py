@@ -1,0 +1,85 @@
+"""Mask and numbers of two screenshots in turn, on the exact taps of the shader."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy import ndimage
+
+from godfit.blind.pair_mask import labelled_mask
+from godfit.blind.two_screenshots import Pair
+from godfit.inference.fitted import Found
+from godfit.inference.information import evidence
+from godfit.inference.noise import best_sigma
+from godfit.inference.problem import SEARCH_PIXELS, Problem, pixels_used
+from godfit.inference.settle import Settled, settle
+from godfit.inference.solver import tangent_at
+
+ROUNDS = 6
+"""Turns of mask and numbers, at most: those that succeed need three or four."""
+BETTER = 0.97
+"""Noise of a turn against that of the turn before from which another one is taken."""
+EXPLAINED_NOISE = 0.5
+"""Noise in levels from which an estimated mask leaves something unexplained: rounding twice leaves
+less."""
+BESIDE_CLIPPED = 2
+"""Texels beside clipped ones that are not fitted: their mask is a guess."""
+NEXT = (
+    "light and numbers are those of a search along rays, without errors: correct mask.png and give "
+    "it as --mask, take the pair at a lower exposure, or give --light-near U,V"
+)
+"""What to do where the mask does not explain the pair."""
+
+
+def alternate(
+    pair: Pair, posed: Callable[[np.ndarray, np.ndarray], Problem], report: Callable[[str], None]
+) -> Found:
+    """The fit of two screenshots from where a search led. ``posed`` makes the problem of a mask
+    (h, w, c) from it and (h, w), which of its texels are fitted."""
+    best, model, mask, last = None, pair.model, pair.mask, None
+    clipped = (pair.texels.sure == 0).any(-1)
+    usable = np.logical_not(ndimage.binary_dilation(clipped, iterations=BESIDE_CLIPPED))
+    for turn in range(ROUNDS if not pair.objection else 0):
+        report(f"mask and numbers in turn, {turn + 1}")
+        mask = labelled_mask(pair.texels, model, mask, pair.places[0].at)
+        problem = posed(mask, usable)
+        start = np.asarray(model.coordinates(), np.float32)
+        settled, _ = settle(start, problem, problem.observe(2 * SEARCH_PIXELS))
+        if best is not None and settled.sigma > BETTER * best[1].sigma:
+            if settled.sigma < best[1].sigma:
+                best, last = (problem, settled, mask), best[1]
+            break
+        best, last = (problem, settled, mask), None if best is None else best[1]
+        model = problem.at(settled.coordinates)
+    if best is None or best[1].sigma > EXPLAINED_NOISE or last is None:
+        return _unrefined(pair, posed, usable)
+    problem, settled, _ = best
+    observation = problem.picture.observe(pixels_used(problem.picture, problem.seed))
+    shift = settled.coordinates - last.coordinates
+    settled, tangent = settle(settled.coordinates, problem, observation)
+    return Found(
+        problem, observation, settled, evidence(settled, tangent, observation),
+        opened=_brightness(problem), inquire=False, shifts=(shift,), mask_estimated=True,
+    )  # fmt: skip
+
+
+def _brightness(problem: Problem) -> tuple[tuple[int, list[int]], ...]:
+    """Exposure and weight, which the unknown brightness of the mask leaves open."""
+    return tuple((problem.index(name), []) for name in ("exposure", "weight"))
+
+
+def _unrefined(pair: Pair, posed, usable: np.ndarray) -> Found:
+    """Where the search led, without errors, and that this is no fit."""
+    problem = posed(pair.mask, usable)
+    start = np.asarray(pair.model.coordinates(), np.float32)
+    observation = problem.observe(2 * SEARCH_PIXELS)
+    tangent = tangent_at(start, problem, observation)
+    sigma, likelihood = best_sigma(tangent.prediction, observation)
+    settled = Settled(start, sigma, likelihood, True)
+    opened = tuple((i, []) for i in range(len(start)))
+    words = pair.objection or "the mask that was found does not explain the pair to the byte"
+    return Found(
+        problem, observation, settled, evidence(settled, tangent, observation), opened=opened,
+        inquire=False, objection=f"{words}; {NEXT}", mask_estimated=True,
+    )  # fmt: skip
