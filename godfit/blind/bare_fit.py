@@ -327,7 +327,7 @@ def _clipped_disc(exact: Exact) -> bool:
     inside = x * x + y * y < (z[RADIUS] * h) ** 2
     in_sight = picture.valid & ~picture.clipped
     open_ = np.count_nonzero(inside & in_sight)
-    return open_ < CLIPPED_SHARE * max(1.0, np.pi * (z[RADIUS] * h) ** 2)
+    return bool(open_ < CLIPPED_SHARE * max(1.0, np.pi * (z[RADIUS] * h) ** 2))
 
 
 def _canonical(found: Found) -> tuple[str, ...]:

@@ -80,7 +80,7 @@ def place_of(number: np.ndarray | float) -> np.ndarray:
     and farther away."""
     number = np.asarray(number, float)
     beyond = np.maximum(number - 1, 0) - np.maximum(-number, 0)
-    return np.clip(number, 0, 1) + beyond / (1 - BEYOND * np.abs(beyond))
+    return np.asarray(np.clip(number, 0, 1) + beyond / (1 - BEYOND * np.abs(beyond)))
 
 
 def number_of(place: float) -> float:

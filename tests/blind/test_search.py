@@ -147,8 +147,9 @@ def test_the_light_of_a_disc_behind_a_box_is_found_and_again_from_near():
 
 def test_texture_has_no_rays():
     image = scene(gain=0.0, texture=0.05)[0]
-    for hypothesis in _tried(copy_of(image), np.zeros(SIZE, bool), Settings()):
-        assert search.searched(hypothesis, (0.5, 0.5), 0).cost > RAYS_COST
+    tried = _tried(copy_of(image), np.zeros(SIZE, bool), Settings())
+    found = [search.searched(hypothesis, (0.5, 0.5), 0) for hypothesis in tried]
+    assert choice.ordered(found)[0].cost > RAYS_COST
 
 
 def test_a_veil_must_explain_more_than_a_bright_mask():
