@@ -7,7 +7,6 @@ import functools
 import os
 import tempfile
 import webbrowser
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
