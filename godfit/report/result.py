@@ -7,6 +7,7 @@ import functools
 import os
 import tempfile
 import webbrowser
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -143,7 +144,7 @@ class FitResult:
         def mask(path: Path) -> None:
             write_image(path, np.clip(self.mask, 0, 1))
 
-        images = {"render.png": render} | ({"mask.png": mask} if self.mask_estimated else {})
+        images: dict[str, Callable[[Path], None]] = {"render.png": render} | ({"mask.png": mask} if self.mask_estimated else {})
         record = ("fit.json", self.record(command))
         if page:
             images[PAGE] = page_writer(lambda: self.page(command))
