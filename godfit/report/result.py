@@ -144,7 +144,9 @@ class FitResult:
         def mask(path: Path) -> None:
             write_image(path, np.clip(self.mask, 0, 1))
 
-        images: dict[str, Callable[[Path], None]] = {"render.png": render} | ({"mask.png": mask} if self.mask_estimated else {})
+        images: dict[str, Callable[[Path], None]] = {"render.png": render}
+        if self.mask_estimated:
+            images["mask.png"] = mask
         record = ("fit.json", self.record(command))
         if page:
             images[PAGE] = page_writer(lambda: self.page(command))
