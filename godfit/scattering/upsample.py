@@ -125,7 +125,7 @@ def _between(pixels, size, low, dtype):
     ``size``, (height, width) each."""
     at = columns_rows(pixels, size[1], dtype)
     ratio = jnp.asarray([low[1] / size[1], low[0] / size[0]], dtype)
-    return (at + 0.5) * ratio - 0.5
+    return (at + 0.5) * ratio[None] - 0.5
 
 
 def columns_rows(pixels, width, dtype):
