@@ -8,7 +8,7 @@ from godfit.errors import InputError
 from godfit.search import registration
 from tests.support import distortions, random_targets
 
-SIZE = 96
+SIZE = 72
 
 
 def test_a_map_of_whole_pixels_is_a_crop():
