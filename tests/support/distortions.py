@@ -99,7 +99,9 @@ def made(kind: str, seed: int, size: int) -> tuple[np.ndarray, dict[str, Any], d
     """A target, what the fit is given, and the truth."""
     samples = {"samples few": 8, "samples many": 120}.get(kind, SAMPLES)
     mask, truth = frame(seed, size, samples)
-    given: dict[str, Any] = {"mask": mask, "shader": "dawntime", "samples": SAMPLES}
+    given: dict[str, Any] = {
+        "mask": mask, "shader": "dawntime", "samples": SAMPLES, "pass_scale": 1.0,
+    }  # fmt: skip
     unit = mask / 255
     image = random_targets.render64(unit, truth)
     axes = {"vertical": 0, "horizontal": 1, "both": (0, 1)}
