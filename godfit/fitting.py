@@ -6,7 +6,7 @@ import dataclasses
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -136,6 +136,35 @@ def fit(
             return _fit(request)
         except jax.errors.JaxRuntimeError as error:
             raise InputError.within(error) or error from error
+
+
+START_VALUES = 1 << 14
+"""Values that the search of ``problem`` uses: its start is within a few errors of the answer."""
+
+
+def problem(target: Source, **options: Any) -> Problem:
+    """The problem that ``fit`` would solve, for a solver, a sampler or a prior of one's own.
+
+    Its ``log_likelihood(params)`` and ``residuals(params)`` are functions that JAX differentiates,
+    and ``start`` are the parameters to begin with, which the search has found on a part of the
+    pixels. ``options`` are those of ``fit``. Raises InputError as it does.
+
+    >>> import jax, numpy as np, godfit
+    >>> mask = np.zeros((24, 24)); mask[6:12, 9:15] = 1
+    >>> target = godfit.Mitchell(0.3, 0.9, 0.8, 0.5, (0.4, 0.6), samples=8)(mask)
+    >>> problem = godfit.problem(np.asarray(target), mask=mask, samples=8, fix=["decay"])
+    >>> sorted(jax.grad(problem.log_likelihood)(problem.start))
+    ['density', 'exposure', 'light_x', 'light_y', 'weight']
+    """
+    with as_guest():
+        given = {"inquire": False, "max_values": START_VALUES} | options
+        request = Request(target=target, **given).checked()
+        try:
+            found, *_ = found_for(request)
+        except jax.errors.JaxRuntimeError as error:
+            raise InputError.within(error) or error from error
+    settled = found.settled
+    return found.problem.replaced(point=settled.coordinates, noise_levels=settled.sigma)
 
 
 class Clock(NamedTuple):

@@ -20,16 +20,18 @@ from godfit.report.figure import plot
 from godfit.report.files import write_result
 from godfit.report.record import fit_record
 from godfit.report.style import own_style
-from godfit.report.text import html, summary
+from godfit.report.text import html, one_line, summary
 from godfit.runtime.guest import as_guest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class FitResult:
     """The result of a fit. Arrays are (h, w) or (h, w, 3); levels are 8-bit levels.
+
+    ``print(result)`` prints the report of the command line.
 
     ``combined`` has the product that is determined even where its factors are not,
     ``"exposure*weight"``. ``covariance`` is that of the parameters in the order of ``params`` (NaN
@@ -79,7 +81,15 @@ class FitResult:
     @property
     def problem(self) -> Problem:
         """The problem that was solved, with the coordinates that the picture leaves open held."""
-        return Problem(self.model, self.picture, self.free, self.held, self.seed)
+        found = Problem(self.model, self.picture, self.free, self.held, self.seed)
+        with as_guest():
+            point = np.asarray(self.model.coordinates(), np.float32)
+        return found.replaced(point=point, noise_levels=self.noise_levels)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(rows, columns) of the picture."""
+        return self.picture.size
 
     @functools.cached_property
     def _levels(self) -> np.ndarray:
@@ -128,6 +138,12 @@ class FitResult:
 
         record = ("fit.json", self.record(command))
         write_result(Path(folder), record, ("fit.png", self.plot), {"render.png": render})
+
+    def __str__(self) -> str:
+        return summary(self)
+
+    def __repr__(self) -> str:
+        return one_line(self)
 
     def _repr_html_(self) -> str:
         return html(self)

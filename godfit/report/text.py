@@ -62,7 +62,7 @@ def parameter_table(params: Mapping[str, Estimate]) -> list[str]:
 def summary(result: FitResult) -> str:
     """A plain-text table: what was fitted, to what, how well, and what remains open."""
     model = result.model
-    height, width = result.picture.size
+    height, width = result.size
     lines = [f"{model.name} model, {given(model)}, {width}x{height} pixels", ""]
     lines += parameter_table(result.params)
     if result.correlations:
@@ -89,6 +89,15 @@ def summary(result: FitResult) -> str:
     lines += [f"  warning: {sentence}" for sentence in result.warnings]
     lines += ["", f"  {'converged' if result.converged else 'not converged: ' + result.message}"]
     return "\n".join(lines)
+
+
+def one_line(result: FitResult) -> str:
+    """A result where many stand in a list: model, shader, state and values."""
+    values = ", ".join(
+        f"{name} {value} +- {error}" for name, value, error, _ in rows(result.params)
+    )
+    state = "converged" if result.converged else "not converged"
+    return f"<{type(result).__name__} of {result.model.name}, {state}: {values}>"
 
 
 def html(result: FitResult) -> str:
