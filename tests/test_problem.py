@@ -62,7 +62,9 @@ def problem(files, answer):
         SAMPLES,
     )
     moved = found.replaced(point=np.asarray(model.coordinates()))
-    assert all(abs(v - answer[n]["value"]) > 0.9 * answer[n]["stderr"] for n, v in moved.start.items())
+    assert all(
+        abs(v - answer[n]["value"]) > 0.9 * answer[n]["stderr"] for n, v in moved.start.items()
+    )
     return moved
 
 
