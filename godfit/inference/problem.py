@@ -46,10 +46,8 @@ class Problem:
     before one. With them, the problem has a ``start`` and a ``log_likelihood`` that JAX
     differentiates, for solvers and samplers of the user's own:
 
-    >>> import numpy as np, godfit
-    >>> mask = np.zeros((24, 24)); mask[6:12, 9:15] = 1
-    >>> target = godfit.Mitchell(0.3, 0.9, 0.8, 0.5, (0.4, 0.6), samples=8)(mask)
-    >>> problem = godfit.problem(np.asarray(target), mask=mask, samples=8)
+    >>> import godfit
+    >>> problem = godfit.problem("frame.png", mask="mask.png", shader="dawntime", samples=30)
     >>> list(problem.start)
     ['exposure', 'decay', 'density', 'weight', 'light_x', 'light_y']
     >>> problem.log_likelihood(problem.start).shape

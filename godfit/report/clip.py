@@ -37,7 +37,12 @@ class Frame(NamedTuple):
 class ClipResult:
     """The result of a clip's fit: ``params`` of the shader with their ``covariance`` (6, 6; NaN
     where held, open, or a light's), ``frames`` in their order, ``shown`` (h, w, 3) a small copy of
-    the first."""
+    the first.
+
+    >>> import godfit
+    >>> [field for field in ("params", "frames") if field in godfit.ClipResult.__annotations__]
+    ['params', 'frames']
+    """
 
     converged: bool
     message: str

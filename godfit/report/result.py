@@ -46,6 +46,11 @@ class FitResult:
     errors allow for the target's processing, see ``inference/indirect_inference.py``; the
     likelihood does not. ``pass_scale`` is the size of the light pass relative to the mask that was
     given, None without one.
+
+    >>> import godfit
+    >>> result = godfit.fit("frame.png", mask="mask.png", shader="dawntime", samples=30)
+    >>> result.params["density"].stderr < 0.01, result.residual.shape
+    (True, (96, 96))
     """
 
     converged: bool

@@ -25,8 +25,8 @@ ROUGH = (
 )
 """Why a fit is converged beside a warning that the residual is not noise."""
 ALONE = (
-    "it converged and none of {} other starts agreed: both can be, because those starts ended where "
-    "the picture is explained less well"
+    "it converged and none of {} other starts agreed: both can be, because those starts ended "
+    "where the picture is explained less well"
 )
 """Why a fit is converged beside other starts that disagree, with how many these are."""
 
