@@ -75,8 +75,9 @@ def rasterise(
     Raises InputError for a light that is not before the camera, and for more fragments of contour
     than ``FRAGMENT_ROOM`` and ``CROSSING_ROOM`` leave room for.
 
-    >>> import godfit
-    >>> godfit.rasterise(godfit.read_scene("scene.toml"), antialias=False).shape
+    >>> import jax, godfit
+    >>> scene = godfit.read_scene("scene.toml")
+    >>> jax.eval_shape(lambda: godfit.rasterise(scene)).shape
     (24, 32)
     """
     colours = np.array(palette(scene))

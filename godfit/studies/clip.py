@@ -110,7 +110,7 @@ def fit_clip(
     >>> godfit.fit_clip(["frame.png"], start={"densty": 0.8})
     Traceback (most recent call last):
     ...
-    godfit.errors.InputError: start: expected one of exposure, ..., did you mean 'density'?
+    godfit.errors.InputError: start: expected one of exposure, ...; did you mean 'density'?
     """
     began = time.perf_counter()
     shading = mitchell_template(shader or "mitchell", samples, 1)
