@@ -93,6 +93,10 @@ def test_a_result_prints_its_report(result, capsys):
     assert len(repr(result)) < 500
 
 
+def test_a_figure_shows_itself(result):
+    assert result.plot()._repr_png_().startswith(b"\x89PNG")
+
+
 def test_a_saved_fit_is_the_result(result, tmp_path):
     result.save(tmp_path)
     saved = godfit.load(tmp_path)

@@ -26,7 +26,8 @@ def plot(result: FitResult) -> Figure:
     """Target, fitted and residual side by side, the light marked, the parameters below."""
     # Without pyplot: it would open a window system, and its figures have to be closed.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+
+    from godfit.report.shown_figure import ShownFigure
 
     picture = result.picture
     height, width = picture.size
@@ -52,7 +53,7 @@ def plot(result: FitResult) -> Figure:
     wide, tall, gap = 4.0, 4.0 * min(max(height / width, 0.3), 2.0), 0.45
     text = max(1.35, 0.19 * lines)
     whole = (len(panels) * (wide + gap) + 0.9, tall + text + 1.0)
-    figure = Figure(figsize=whole)
+    figure = ShownFigure(figsize=whole)
     FigureCanvasAgg(figure)
 
     def place(left: float, bottom: float, right: float, top: float):

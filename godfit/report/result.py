@@ -130,7 +130,8 @@ class FitResult:
         return fit_record(self, command)
 
     def plot(self) -> Figure:
-        """A matplotlib figure: target, fitted, residual, parameters."""
+        """A matplotlib figure: target, fitted, residual, parameters. A notebook displays it; its
+        ``show()`` opens it elsewhere."""
         with as_guest(), own_style():
             return plot(self)
 
