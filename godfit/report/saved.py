@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -90,13 +90,14 @@ class SavedFit:
 
     def summary(self) -> str:
         """The report that the command line printed, as plain text."""
-        return summary(self)
+        # A saved fit has all that a report takes from a result.
+        return summary(cast(Any, self))
 
     def __str__(self) -> str:
-        return summary(self)
+        return self.summary()
 
     def __repr__(self) -> str:
-        return one_line(self)
+        return one_line(cast(Any, self))
 
 
 def load(path: str | os.PathLike[str]) -> SavedFit:
