@@ -25,8 +25,6 @@ autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
 # Types stand as they are written: whole ones of JAX fill half a page.
 autodoc_preserve_defaults = True
-# README.md and the scripts lie outside this folder: their links are for readers of the repository.
-suppress_warnings = ["myst.xref_missing"]
 
 
 def setup(app):
