@@ -286,9 +286,8 @@ def test_without_exposure_there_is_no_light_and_no_infinity():
 
 
 def test_second_derivatives_are_those_of_the_reference():
-    """By the light, the taps and the mask, forward over reverse, on a picture and at points."""
+    """By the light, the taps and the mask, forward over reverse."""
     mask = jnp.asarray(np.random.default_rng(0).random((9, 8)))
-    points = jnp.array([[2.3, 1.1], [5.0, 6.7], [0.4, 3.2]])
     values = {
         "light": jnp.array([0.41, 0.63]),
         "numbers": jnp.array([0.1, 0.9, 0.7, 0.5]),
@@ -301,8 +300,7 @@ def test_second_derivatives_are_those_of_the_reference():
         at = unflatten(flat)
         (taps,) = CONVENTIONS["mitchell"].taps(*at["numbers"], 6)
         bent = mask + at["bend"] * mask**2
-        sums = (radial_sum(bent, at["light"], taps, at=p, method=method) for p in (None, points))
-        return sum((total**2).sum() for total in sums)
+        return (radial_sum(bent, at["light"], taps, method=method) ** 2).sum()
 
     @functools.partial(jax.jit, static_argnums=0)
     def along(method, flat):
