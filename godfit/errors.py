@@ -60,7 +60,14 @@ class Remark(str):
 
 
 class InputError(ValueError):
-    """One line that states what was expected, what was got and what to do."""
+    """One line that states what was expected, what was got and what to do. It is a ValueError.
+
+    >>> import godfit
+    >>> godfit.fit("frame.png", mask="mask.png", shader="babilon")
+    Traceback (most recent call last):
+    ...
+    godfit.errors.InputError: shader: expected one of ...; did you mean 'babylon'?
+    """
 
     def __init__(self, message: object) -> None:
         super().__init__(plain(str(message)))

@@ -155,6 +155,11 @@ def fit(
 
     **Returns:** a `FitResult`. Raises `InputError`, a ValueError of one line, for input that cannot
     be fitted.
+
+    >>> import godfit
+    >>> result = godfit.fit("frame.png", mask="mask.png", shader="dawntime", samples=30)
+    >>> result.converged, round(result.params["density"].value, 2)
+    (True, 0.8)
     """
     with as_guest():
         request = Request(
@@ -170,6 +175,33 @@ def fit(
             return _fit(request)
         except jax.errors.JaxRuntimeError as error:
             raise InputError.within(error) or error from error
+
+
+START_VALUES = 1 << 14
+"""Values that the search of ``problem`` uses: its start is within a few errors of the answer."""
+
+
+def problem(target: Source, **options: Any) -> Problem:
+    """The problem that ``fit`` would solve, for a solver, a sampler or a prior of one's own.
+
+    Its ``log_likelihood(params)`` and ``residuals(params)`` are functions that JAX differentiates,
+    and ``start`` are the parameters to begin with, which the search has found on a part of the
+    pixels. ``options`` are those of ``fit``. Raises InputError as it does.
+
+    >>> import jax, godfit
+    >>> problem = godfit.problem("frame.png", mask="mask.png", shader="dawntime", samples=30)
+    >>> sorted(jax.grad(problem.log_likelihood)(problem.start))
+    ['decay', 'density', 'exposure', 'light_x', 'light_y', 'weight']
+    """
+    with as_guest():
+        given = {"inquire": False, "max_values": START_VALUES} | options
+        request = Request(target=target, **given).checked()
+        try:
+            found, *_ = found_for(request)
+        except jax.errors.JaxRuntimeError as error:
+            raise InputError.within(error) or error from error
+    settled = found.settled
+    return found.problem.replaced(point=settled.coordinates, noise_levels=settled.sigma)
 
 
 class Clock(NamedTuple):

@@ -130,6 +130,7 @@ SLOW = (
     "blind", "flatland/test_fitting.py", "flatland/test_gradients.py", "flatland/test_published.py",
     "runtime/test_cache.py", "runtime/test_program_cache.py", "test_data_synthetic.py",
     "test_synthetic_fits.py", "test_stability.py", "test_lmfit.py", "test_experiments.py",
+    "test_problem.py",
     "models/test_staged.py", "studies/test_clip.py", "studies/test_compare.py",
     "studies/test_select.py", "studies/test_profile_likelihood.py",
     "inference/test_indirect_inference.py", "inference/test_diagnostics.py",

@@ -16,7 +16,12 @@ from godfit.models.base import AbstractModel
 class Estimate:
     """A parameter's value; ``stderr`` is None where it is fixed or not determined. ``interval`` is
     the 95% interval of its profile likelihood, ``posterior`` the middle 95% of the posterior; both
-    are None where they were not computed."""
+    are None where they were not computed.
+
+    >>> import godfit
+    >>> godfit.Estimate(value=0.8, stderr=0.01)
+    Estimate(value=0.8, stderr=0.01, fixed=False, at_bound=False, interval=None, posterior=None)
+    """
 
     value: float
     stderr: float | None

@@ -8,11 +8,16 @@ import functools
 from collections.abc import Mapping
 from typing import Any
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from godfit.errors import InputError
 from godfit.inference.allowances.prior import Prior
 from godfit.inference.evaluate import model_at
+from godfit.inference.likelihood import deviance_residuals, log_likelihood
 from godfit.inference.observation import Observation, Picture
 from godfit.io.image import Image
 from godfit.io.sources import shrink_mask
@@ -24,6 +29,8 @@ MAX_VALUES = 1 << 21
 derivatives would fill the memory."""
 SEARCH_PIXELS = 2048
 """Pixels of a search: enough to rank minima, few enough to be evaluated in milliseconds."""
+BEYOND_SCALE = 1e7
+"""Levels that stand for infinity, at which an interval without an end ends: any noise is less."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -36,6 +43,17 @@ class Problem:
     lower than the model's own: the range of a search. ``prior`` holds what is known of parameters
     beforehand. Coordinates and parameters have the same
     names and order.
+
+    ``point`` (p,) are the coordinates and ``noise_levels`` the noise that a search arrived at, None
+    before one. With them, the problem has a ``start`` and a ``log_likelihood`` that JAX
+    differentiates, for solvers and samplers of the user's own:
+
+    >>> import godfit
+    >>> problem = godfit.problem("frame.png", mask="mask.png", shader="dawntime", samples=30)
+    >>> list(problem.start)
+    ['exposure', 'decay', 'density', 'weight', 'light_x', 'light_y']
+    >>> problem.log_likelihood(problem.start).shape
+    ()
     """
 
     model: AbstractModel
@@ -45,6 +63,8 @@ class Problem:
     seed: int = 0
     most: Mapping[str, float] = dataclasses.field(default_factory=dict)
     prior: Prior = dataclasses.field(default_factory=dict)
+    point: np.ndarray | None = None
+    noise_levels: float | None = None
 
     @functools.cached_property
     def names(self) -> list[str]:
@@ -88,6 +108,98 @@ class Problem:
     def at(self, coordinates: np.ndarray) -> AbstractModel:
         """The model at ``coordinates`` (p,), with the held parameters where they are held."""
         return model_at(coordinates, self.held, self.model)
+
+    @property
+    def _known_point(self) -> np.ndarray:
+        """``point``. Raises InputError before a search."""
+        if self.point is None:
+            raise InputError(
+                "problem: expected one that a search has been through, got none; make it by "
+                "godfit.problem, or take that of a result"
+            )
+        return self.point
+
+    @functools.cached_property
+    def _values(self) -> np.ndarray:
+        """(p,) the parameters at ``point``."""
+        with jax.ensure_compile_time_eval():
+            return np.asarray(list(self.at(self._known_point).values().values()))
+
+    @property
+    def start(self) -> dict[str, float]:
+        """The free parameters, by name, where the search arrived: on a part of the pixels where
+        the picture has many."""
+        moving = zip(self.names, self._values, self.free, strict=True)
+        return {name: float(value) for name, value, free in moving if free}
+
+    def residuals(self, params: Mapping[str, Any], noise_levels: Any = None) -> Float[Array, " m"]:
+        """(m,) signed roots of the deviance of every value, the channels of a pixel side by side:
+        half the sum of their squares is the negative log-likelihood up to a constant. Where noise
+        exceeds rounding, they are (fitted - target) / noise, nearly.
+
+        ``params`` and ``noise_levels`` are those of ``log_likelihood``. Differentiable once, by the
+        parameters.
+        """
+        at, pixels = self._at_params(params), self._precise[1]
+        sigma = self._noise(noise_levels)
+        return deviance_residuals(pixels.predict(at), pixels.lo, pixels.hi, sigma, pixels.foreign)
+
+    def log_likelihood(
+        self, params: Mapping[str, Any], noise_levels: Any = None
+    ) -> Float[Array, ""]:
+        """The log-likelihood of the picture, in the units of ``godfit.inference.likelihood``.
+
+        **Arguments:**
+
+        - `params`: numbers by name, those of ``start`` or some of them; the others stay where the
+          search left them. Raises InputError for a name that is not among the parameters.
+        - `noise_levels`: the standard deviation of the noise before rounding, in 8-bit levels; by
+          default that of the search.
+
+        Differentiable by both, twice by the parameters. It has no bounds: outside them the sum is
+        evaluated as it stands. JAX's own setting decides on the precision; Hessians need
+        ``jax_enable_x64``.
+        """
+        at, pixels = self._at_params(params), self._precise[1]
+        # Infinity has no derivative by the noise.
+        lo, hi = (jnp.clip(end, -BEYOND_SCALE, BEYOND_SCALE) for end in (pixels.lo, pixels.hi))
+        sigma = self._noise(noise_levels)
+        return log_likelihood(pixels.predict(at), lo, hi, sigma, pixels.foreign).sum()
+
+    def _at_params(self, params: Mapping[str, Any]) -> AbstractModel:
+        """The model with parameters (not coordinates) ``params``."""
+        unknown = sorted(set(params) - set(self.names))
+        if unknown:
+            near = difflib.get_close_matches(unknown[0], self.names, n=1, cutoff=0.0)[0]
+            raise InputError(
+                f"params: expected names among {', '.join(self.names)}, got '{unknown[0]}'; "
+                f"did you mean '{near}'?"
+            )
+        known = dict(zip(self.names, self._values, strict=True)) | dict(params)
+        # Where every parameter is held, no coordinate counts.
+        held = jnp.stack([jnp.asarray(known[name], float) for name in self.names])
+        return self._precise[0].moved(jnp.asarray(self.point, held.dtype), held)
+
+    def _noise(self, noise_levels: Any) -> Float[Array, ""]:
+        return jnp.asarray(self.noise_levels if noise_levels is None else noise_levels, float)
+
+    @property
+    def _precise(self) -> tuple[AbstractModel, Observation]:
+        """The model at ``point`` and all pixels, in JAX's present precision."""
+        precision = jnp.result_type(float)
+        if precision not in self._made:
+            # A first call may come from within a program that is being traced.
+            with jax.ensure_compile_time_eval():
+                pixels = self.picture.observe(pixels_used(self.picture, self.seed))
+                parts = self.at(self._known_point), pixels
+                self._made[precision] = jax.tree.map(
+                    lambda z: z.astype(precision) if eqx.is_inexact_array(z) else z, parts
+                )
+        return self._made[precision]
+
+    @functools.cached_property
+    def _made(self) -> dict[Any, tuple[AbstractModel, Observation]]:
+        return {}
 
     def observe(self, count: int, blur: float = 0.0) -> Observation:
         """``count`` informative pixels of the picture, blurred by ``blur`` pixels."""

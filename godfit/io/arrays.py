@@ -81,7 +81,8 @@ def top_of(found: np.ndarray, name: str) -> int | None:
 
 
 def as_light(array: Any, name: str) -> Any:
-    """``array`` as floats that a model can sum: JAX arrays stay so, also while they are traced.
+    """``array`` as floats that a model can sum: JAX arrays stay so, also while they are traced, and
+    an ``Image`` is its linear values.
 
     Half and brain floats become float32; float64 stays where it is. Raises InputError as
     ``levels_of`` does, and for integers of a traced array whose scale is not known.
@@ -90,6 +91,11 @@ def as_light(array: Any, name: str) -> Any:
     import jax.numpy as jnp
     from jax.core import Tracer
 
+    # That module builds on this one's neighbours, and most arrays are no images.
+    from godfit.io.image import Image
+
+    if isinstance(array, Image):
+        return jnp.asarray(array.values)
     if not isinstance(array, jax.Array):
         found = host_array(array, name)
         if found.dtype == np.float64:

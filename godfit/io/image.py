@@ -43,7 +43,13 @@ VALUES_PER_STRIDE = 2**18
 
 @dataclass(frozen=True, eq=False)  # == on arrays has no single truth value
 class Image:
-    """An image in linear light, and how it was stored."""
+    """An image in linear light, and how it was stored.
+
+    >>> import godfit
+    >>> image = godfit.read_image("frame.png")
+    >>> image.values.shape, round(1 / image.quantum), image.transfer
+    ((96, 96), 255, 'none')
+    """
 
     values: np.ndarray  # float32, (h, w) or (h, w, 3), linear
     quantum: float | None  # step of the encoded values: 1/255, 1/65535, or None for floats
@@ -74,6 +80,10 @@ def read_image(
     then it is colour over black. With ``finite`` False, NaN and infinity are returned as they are.
 
     Raises InputError, naming the path, for a file that cannot be read whole and exactly.
+
+    >>> import godfit
+    >>> godfit.read_image("mask.png").values.shape
+    (96, 96)
     """
     image, alpha = read_layer(path, transfer=transfer, finite=finite)
     return image if alpha is None else with_alpha(image, alpha)
@@ -142,6 +152,9 @@ def write_image(
     PNG: encoded with the transfer, clipped to [0, 1], rounded half up to the nearest level. With
     ``exact`` it says that nothing but this rounding is between its values and the model's.
     .exr and .npy: float32, linear, whatever the transfer. Raises InputError.
+
+    >>> import numpy as np, godfit
+    >>> godfit.write_image("inverted.png", 1 - godfit.read_image("mask.png").values)
     """
     transfer = checked_transfer(transfer)
     name = os.fsdecode(path)

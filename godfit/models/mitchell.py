@@ -62,6 +62,11 @@ class Mitchell(AbstractModel):
     Fit coordinates (one for each parameter, in order): exposure; kappa = -samples ln(decay) /
     density, the attenuation for each unit of ray; density; gain = exposure weight samples /
     density; the lights. The image depends on samples almost only through kappa and gain.
+
+    >>> import godfit
+    >>> model = godfit.Mitchell(0.05, 0.99, 0.8, 0.8, light=(0.5, 0.5), shader="dawntime")
+    >>> model(godfit.read_image("mask.png")).shape
+    (96, 96)
     """
 
     name: ClassVar[str] = "mitchell"

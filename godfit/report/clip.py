@@ -49,7 +49,13 @@ class Frame(NamedTuple):
 class ClipResult:
     """The result of a clip's fit: ``params`` of the shader with their ``covariance`` (6, 6; NaN
     where held, open, or a light's), ``frames`` in their order, ``shown`` (h, w, 3) a small copy of
-    the first, ``pages`` the frames as the live page has them."""
+    the first, ``pages`` the frames as the live page has them.
+
+
+    >>> import godfit
+    >>> [field for field in ("params", "frames") if field in godfit.ClipResult.__annotations__]
+    ['params', 'frames']
+    """
 
     converged: bool
     message: str

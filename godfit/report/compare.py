@@ -44,7 +44,12 @@ class Row:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Comparison:
-    """Rows in the order of their BIC, the best first."""
+    """Rows in the order of their BIC, the best first.
+
+    >>> import numpy as np, godfit
+    >>> godfit.Comparison((), np.zeros((2, 2))).rows
+    ()
+    """
 
     rows: tuple[Row, ...]
     target: np.ndarray

@@ -28,16 +28,18 @@ from godfit.report.live.widget import viewer_widget
 from godfit.report.pages import fit_page, shown
 from godfit.report.record import fit_record
 from godfit.report.style import own_style
-from godfit.report.text import html, summary
+from godfit.report.text import html, one_line, summary
 from godfit.runtime.guest import as_guest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class FitResult:
     """The result of a fit. Arrays are (h, w) or (h, w, 3); levels are 8-bit levels.
+
+    ``print(result)`` prints the report of the command line.
 
     ``combined`` has the product that is determined even where its factors are not,
     ``"exposure*weight"``. ``covariance`` is that of the parameters in the order of ``params`` (NaN
@@ -54,6 +56,11 @@ class FitResult:
     given, None without one. ``where`` has, for each determined parameter, the share (rows, columns)
     of the information on it that each cell of the picture holds. ``mask_estimated`` is True where
     the mask comes from two screenshots.
+
+    >>> import godfit
+    >>> result = godfit.fit("frame.png", mask="mask.png", shader="dawntime", samples=30)
+    >>> result.params["density"].stderr < 0.01, result.residual.shape
+    (True, (96, 96))
     """
 
     converged: bool
@@ -92,7 +99,15 @@ class FitResult:
     @property
     def problem(self) -> Problem:
         """The problem that was solved, with the coordinates that the picture leaves open held."""
-        return Problem(self.model, self.picture, self.free, self.held, self.seed, prior=self.prior)
+        found = Problem(self.model, self.picture, self.free, self.held, self.seed, prior=self.prior)
+        with as_guest():
+            point = np.asarray(self.model.coordinates(), np.float32)
+        return found.replaced(point=point, noise_levels=self.noise_levels)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(rows, columns) of the picture."""
+        return self.picture.size
 
     @functools.cached_property
     def levels(self) -> np.ndarray:
@@ -129,7 +144,8 @@ class FitResult:
         return fit_record(self, command)
 
     def plot(self) -> Figure:
-        """A matplotlib figure: target, fitted, residual, parameters."""
+        """A matplotlib figure: target, fitted, residual, parameters. A notebook displays it; its
+        ``show()`` opens it elsewhere."""
         with as_guest(), own_style():
             return plot(self)
 
@@ -151,6 +167,12 @@ class FitResult:
         if page:
             images[PAGE] = page_writer(lambda: self.page(command))
         write_result(Path(folder), record, ("fit.png", self.plot), images)
+
+    def __str__(self) -> str:
+        return summary(self)
+
+    def __repr__(self) -> str:
+        return one_line(self)
 
     def _repr_html_(self) -> str:
         """The table, then the page in a frame, whose shader runs at the first touch."""

@@ -73,7 +73,12 @@ class Row:
 class Selection:
     """Rows from the smallest model to the largest. ``equivalent`` are shaders, with their
     parameters, that draw the same picture as the recommended one; ``base`` is the fit of the whole
-    shader."""
+    shader.
+
+    >>> import godfit
+    >>> [field for field in ("rows", "chosen") if field in godfit.Selection.__annotations__]
+    ['rows', 'chosen']
+    """
 
     rows: tuple[Row, ...]
     chosen: int

@@ -95,7 +95,8 @@ class Sheet:
         """The figure, with a canvas of its own."""
         # Without pyplot: it would open a window system, and its figures have to be closed.
         from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
+
+        from godfit.report.shown_figure import ShownFigure
 
         grids = [_placed(block) for block in self.blocks if isinstance(block, Grid)]
         width = max([LEAST_SHEET, *(grid.width for grid in grids)])
@@ -114,7 +115,7 @@ class Sheet:
                 most = max((len(column.lines) for column in columns), default=0)
                 heights.append(_height(most, "mono" if block.mono else "text"))
         whole = sum(heights) + MARGIN * (len(heights) + 1)
-        figure = Figure(figsize=(width, whole), dpi=DPI)
+        figure = ShownFigure(figsize=(width, whole), dpi=DPI)
         FigureCanvasAgg(figure)
         pen = Pen(figure, width, whole)
         top = whole - MARGIN

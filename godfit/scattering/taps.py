@@ -56,6 +56,11 @@ class Taps(eqx.Module):
     ``unit`` is that of ``step``: ``"ray"``, a fraction of the way from the pixel to the light (0 at
     the pixel, 1 at the light), or ``"uv"``, a distance in texture coordinates. With ``"uv"`` taps
     beyond the light have no weight.
+
+    >>> import godfit
+    >>> (taps,) = godfit.CONVENTIONS["dawntime"].taps(0.1, 0.5, 0.8, 1.0, 4)
+    >>> [round(float(t), 3) for t in taps.t], [round(float(c), 4) for c in taps.c]
+    ([0.2, 0.4, 0.6], [0.05, 0.025, 0.0125])
     """
 
     own: Scalar

@@ -74,6 +74,11 @@ def rasterise(
 
     Raises InputError for a light that is not before the camera, and for more fragments of contour
     than ``FRAGMENT_ROOM`` and ``CROSSING_ROOM`` leave room for.
+
+    >>> import jax, godfit
+    >>> scene = godfit.read_scene("scene.toml")
+    >>> jax.eval_shape(lambda: godfit.rasterise(scene)).shape
+    (24, 32)
     """
     colours = np.array(palette(scene))
     grey = (colours == colours[:, :1]).all()

@@ -128,7 +128,12 @@ class Scene(eqx.Module):
     """A scene whose mask can be drawn. ``size`` is (height, width) in pixels; ``antialias`` is None
     where the file leaves it open; ``scattering`` holds the shader's settings; ``shading`` is that
     of the ordinary pass; ``notes`` are for the user. With ``any_size`` the file gives no size, and
-    a target's replaces the one here."""
+    a target's replaces the one here.
+
+    >>> import godfit
+    >>> godfit.read_scene("scene.toml").size
+    (24, 32)
+    """
 
     camera: Camera
     light: Light
@@ -209,7 +214,12 @@ def _rotation(angle: Float[Array, ""], i: int, j: int) -> Float[Array, "3 3"]:
 
 def read_scene(path: str | os.PathLike[str]) -> Scene:
     """Read a scene file, or a glTF file with a camera and a light of its own. Raises InputError
-    that names the file, the key, the expected and the actual value."""
+    that names the file, the key, the expected and the actual value.
+
+    >>> import godfit
+    >>> len(godfit.read_scene("scene.toml").objects)
+    1
+    """
     with own_settings(any_precision=True):
         return _read_scene(Path(path))
 

@@ -107,6 +107,12 @@ def fit_clip(
 
     **Returns:** a `ClipResult`. Raises `InputError`, a ValueError of one line, for frames that
     cannot be read, and for fewer than two.
+
+    >>> import godfit
+    >>> godfit.fit_clip(["frame.png"], start={"densty": 0.8})
+    Traceback (most recent call last):
+    ...
+    godfit.errors.InputError: start: expected one of exposure, ...; did you mean 'density'?
     """
     began = time.perf_counter()
     shading = mitchell_template(shader or "mitchell", samples, 1)

@@ -49,7 +49,14 @@ def compare(
 ) -> Comparison:
     """Fit both models, and with a ``canvas`` that of the plane; arguments are those of
     `godfit.fit`. ``light`` (u, v), or the scene's, is where the light is held; without either, only
-    the fits with a free light are made."""
+    the fits with a free light are made.
+
+    >>> import godfit
+    >>> godfit.compare("frame.png", mask="frame.png")
+    Traceback (most recent call last):
+    ...
+    godfit.errors.InputError: mask: expected another image than the target, got the same one; ...
+    """
     say = progress or (lambda text: None)
     picture = read_source(target, options.get("transfer", "none"))
     place: dict[str, float] = {}

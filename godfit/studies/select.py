@@ -57,6 +57,12 @@ def select(
     ``light`` (u, v), else the scene's, else the middle, is the position of the light in rungs that
     do not fit it. With a scene, or with ``fov`` and ``distance``, Hoffman and Preetham's daylight
     is fitted as well. Raises InputError for more than one light.
+
+    >>> import godfit
+    >>> godfit.select("frame.png", mask="mask.png", lights=2)
+    Traceback (most recent call last):
+    ...
+    godfit.errors.InputError: select: expected lights 1, got more; it adds a second light itself
     """
     began, say = time.perf_counter(), progress or (lambda text: None)
     if options.get("lights", 1) != 1:

@@ -113,7 +113,7 @@ def _sum_jvp(sums, linear, known, primals, tangents):
     if at is not None and not is_symbolic_zero(d_at):
         raise ValueError("radial_sum is differentiable in `at` by method 'reference' alone")
     ray, points_at, itself = _prepared(mask, parameters, at)
-    four = sums(mask, ray, parameters.count if known is None else known, points_at, True)
+    four = _four_sums(sums, linear, known, mask, ray, parameters.count, points_at)
     size = (mask.shape[0], mask.shape[1])
     by = partial_derivatives(itself, four, parameters.first, ray, size, at)
     out = parameters.own * itself + parameters.first * four[0]
@@ -128,6 +128,30 @@ def _sum_jvp(sums, linear, known, primals, tangents):
     if not is_symbolic_zero(d_mask):
         d_out += _sum(linear, linear, known, d_mask, parameters, at)
     return out, d_out
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2))
+def _four_sums(sums, linear, known, mask, ray, count, at):
+    """The four sums of a first derivative. What differentiates them once more is ``linear``, whose
+    derivatives are JAX's own: compiled ``sums`` have none."""
+    return sums(mask, ray, count if known is None else known, at, True)
+
+
+@functools.partial(_four_sums.defjvp, symbolic_zeros=True)
+def _four_sums_jvp(sums, linear, known, primals, tangents):
+    mask, ray, count, at = primals
+    d_mask, d_ray = (jax.tree.map(_as_array, t, is_leaf=is_symbolic_zero) for t in tangents[:2])
+
+    def four(mask, ray):
+        return linear(mask, ray, count if known is None else known, at, True)
+
+    _, d_four = jax.jvp(four, (mask, ray), (d_mask, d_ray))
+    return _four_sums(sums, linear, known, mask, ray, count, at), d_four
+
+
+def _as_array(tangent):
+    """A tangent, with zeros in place of a symbolic zero."""
+    return jnp.zeros(tangent.shape, tangent.dtype) if is_symbolic_zero(tangent) else tangent
 
 
 class PartialDerivatives(NamedTuple):

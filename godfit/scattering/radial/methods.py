@@ -54,6 +54,11 @@ def radial_sum(
     Differentiable in `mask`, `light` and `taps`, forward and reverse. Raises ValueError for an
     unknown method or one that cannot serve these taps, and InputError, which is one, for a mask
     that holds no light.
+
+    >>> import numpy as np, godfit
+    >>> taps = godfit.Taps(own=1.0, first=0.5, ratio=0.9, step=0.1, count=8)
+    >>> godfit.radial_sum(np.ones((4, 6)), (0.5, 0.5), taps).shape
+    (4, 6)
     """
     if method == "auto":
         method = fastest(taps)
