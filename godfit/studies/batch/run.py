@@ -19,7 +19,12 @@ PICTURES = "frames"
 
 class FrameFit(NamedTuple):
     """A frame of a batch and its fit: ``record`` is the contents of fit.json, None where the fit
-    failed or crashed, which ``error`` explains. ``status`` is one of ``worker.STATUSES``."""
+    failed or crashed, which ``error`` explains. ``status`` is one of ``worker.STATUSES``.
+
+    >>> import godfit
+    >>> godfit.FrameFit("frame.png", "failed", None, "no such file", 0.0, "here").error
+    'no such file'
+    """
 
     path: str
     status: str
@@ -73,6 +78,13 @@ def batch(
 
     **Returns:** an iterator of `FrameFit`. Closing it ends the workers. Raises `InputError` for
     patterns without files; what is wrong with one frame is that frame's error.
+
+    >>> import godfit
+    >>> frames = godfit.batch(
+    ...     "frame.png", mask="mask.png", shader="dawntime", samples=30, workers=1
+    ... )
+    >>> [frame.status for frame in frames]
+    ['converged']
     """
     patterns = [paths] if isinstance(paths, str) else [os.fspath(path) for path in paths]
     jobs = jobs_of(patterns, options)
