@@ -41,7 +41,7 @@ def export(
     the fit's own shader in its language.
     """
     if to == "list":
-        from godfit.report.export import list_text
+        from godfit.report.engines.export import list_text
 
         click.echo(list_text())
         return 0

@@ -21,9 +21,9 @@ from godfit.io.filters import shrink
 from godfit.io.image import LEVELS, encode
 from godfit.models.build import mitchell_at
 from godfit.models.mitchell import Mitchell
-from godfit.report.engine_code import TEMPLATES
-from godfit.report.export import Difference, Export
-from godfit.report.ports import port
+from godfit.report.engines.engine_code import TEMPLATES
+from godfit.report.engines.export import Difference, Export
+from godfit.report.engines.ports import port
 from godfit.report.record import Recorded, read_params, recorded
 from godfit.runtime.device import on_device
 from godfit.runtime.program_cache import cached_jit

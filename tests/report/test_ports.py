@@ -9,7 +9,7 @@ import pytest
 
 from godfit.errors import InputError
 from godfit.models.mitchell import Mitchell
-from godfit.report.ports import LANGUAGES, port
+from godfit.report.engines.ports import LANGUAGES, port
 from godfit.scattering.engines import ENGINES
 from tests.support import scattering_oracle as oracle
 

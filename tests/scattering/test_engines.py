@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from godfit.errors import InputError
-from godfit.report.engine_code import TEMPLATES
-from godfit.report.ports import LANGUAGES
+from godfit.report.engines.engine_code import TEMPLATES
+from godfit.report.engines.ports import LANGUAGES
 from godfit.scattering.conventions import CONVENTIONS, convention
 from godfit.scattering.engines import ENGINES, TapNumbers, equivalents, translated
 

@@ -8,7 +8,7 @@ import pytest
 from godfit.__main__ import main
 from godfit.io.image import write_image
 from godfit.models.mitchell import Mitchell
-from godfit.report.export import EXACT_LEVELS
+from godfit.report.engines.export import EXACT_LEVELS
 from godfit.report.record import Recorded
 from godfit.scattering.engines import ENGINES
 from godfit.studies.export import engine_named, for_engine

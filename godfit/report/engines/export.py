@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import textwrap
 
-from godfit.report.engine_code import COMMENTS
+from godfit.report.engines.engine_code import COMMENTS
 from godfit.scattering.engines import ENGINES, Engine
 
 COMMENT_WIDTH = 96

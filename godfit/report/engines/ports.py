@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from godfit.errors import InputError
 from godfit.models.mitchell import Mitchell
-from godfit.report.engine_code import Light, number
+from godfit.report.engines.engine_code import Light, number
 from godfit.scattering.conventions import Convention
 from godfit.scattering.conventions.convention import LUMA
 
