@@ -13,8 +13,6 @@ from godfit.scattering.conventions import Convention
 ENCODINGS = (("none", "none"), ("srgb", "srgb"), ("srgb", "none"))
 """Transfers of the picture with the effect on and of the ordinary pass that are tried: a dump of a
 linear buffer is an ordinary pass too."""
-FEWEST_KNOWN = 0.1
-"""Share of the picture in which the light pass must be known for anything to be estimated."""
 CLEAR = 0.02
 """Linear light that the ordinary pass must leave below white for a screen blend to show the
 rest."""
@@ -23,10 +21,6 @@ SAME_CHANNELS = 3.0
 rounding of two pictures."""
 OFTEN = 0.9999
 """Share of the pixels in which they do so: a coloured light may be a thousandth of the picture."""
-DARK = -2.0
-"""Levels below zero that no blend of the true kind leaves: four times the rounding."""
-FAINT = 3.0
-"""Levels that the light pass must span for rays to be looked for: below, rounding hides them."""
 
 
 class Blend(NamedTuple):

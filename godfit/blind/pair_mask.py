@@ -48,7 +48,7 @@ def upsampled(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 def texels_of(light: LightPass, valid: np.ndarray | None) -> TexelLight:
     """The light pass at half its size if that, read bilinearly, is what it shows, else as it is."""
-    shown = light.known if valid is None else light.known | valid[..., None]
+    shown = np.ones_like(light.known) if valid is None else light.known | valid[..., None]
     whole = TexelLight(light.values, np.where(light.known, 1, np.where(shown, 0, -1)), 1)
     h, w = light.size
     small = (h // 2, w // 2)
