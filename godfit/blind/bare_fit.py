@@ -48,6 +48,8 @@ LEAST_SIZE = 32
 """Least width and height of a picture: rays are a few pixels wide there."""
 FOREIGN = 0.02
 """Share of pixels that may have any level: what no hypothesis explains."""
+MOST_PLACE_ERROR = 0.01
+"""Largest standard error of a light that counts as found, as a share of the picture."""
 MOST_DENSITY_ERROR = 0.1
 """Largest standard error of a density that is quoted: more is no number."""
 MOST_KAPPA_ERROR = 0.3
@@ -76,6 +78,7 @@ NO_RAYS = "no rays were found: a light explains too little of this picture ({:.3
 UNSURE = "the light explains too little of this picture to be sure of it ({:.3f} per pair)"
 DISAGREE = "searches on independent pixels disagree on the light by {:.1f}% of the picture"
 RIVALS = "two masks explain the picture, with lights {:.1f}% of it apart"
+LOOSE = "the light is known to {:.1f}% of the picture only"
 AT_END = "a number of the search lies at the end of its range"
 MOVED = "the exact light is {:.1f}% of the picture from that of the search"
 STRUCTURE = "the residual is structure of {:.1f} levels, which the light does not explain"
@@ -295,6 +298,9 @@ def _concluded(
             opened.append((index, []))
             free[index], held[index] = False, z[index]
             scatter[index] = scatter[:, index] = 0.0
+    error = float(np.sqrt(np.diag(scatter)[known[:2]].max()))
+    if error > MOST_PLACE_ERROR:
+        doubts = [*doubts, LOOSE.format(100 * error)]
     objection = doubts[0] + NEXT if doubts else ""
     remarks = tuple(Remark(doubt, "unsure") for doubt in doubts[1:])
     return Found(
