@@ -311,7 +311,7 @@ def _concluded(
 
 def _lost(exact: Exact, scatter: np.ndarray, box: bool) -> list[int]:
     """Coordinates that the picture does not determine well enough to be told as numbers."""
-    if box or not exact.exact:
+    if box or not exact.exact or exact.settled.sigma > EXPLAINED_NOISE:
         return [KAPPA, DENSITY, GAIN, RADIUS, EDGE, VEIL]
     z, error = exact.settled.coordinates, np.sqrt(np.diag(scatter))
     # The gain of a disc that is clipped trades with its radius, in a valley that is no straight

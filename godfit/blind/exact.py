@@ -125,7 +125,8 @@ def solved_exactly(
     open_, known = open_mask(candidate, posed)
     if known.mean() < LEAST_SHARE:
         known = picture.valid
-    texture = drawn(candidate.hypothesis, FINE_PAIRS, seed).spread * LEVELS
+    unit = SCREENED_UNIT if shading.convention.blend == "screen" else 1.0
+    texture = drawn(candidate.hypothesis, FINE_PAIRS, seed).spread * LEVELS * unit
     calm = candidate.hypothesis.name != "bright" and texture < CALM
     mask = shrink_mask(open_, posed.given.pass_scale or 1.0)
     picture = dataclasses.replace(picture, mask=mask, valid=known)

@@ -157,7 +157,7 @@ def test_a_veil_must_explain_more_than_a_bright_mask():
     occluded = np.zeros(SIZE, bool)
     plain, veil = hypotheses.bright(copy, occluded), hypotheses.colour(copy, occluded)
     point = np.zeros(5)
-    for cost, chosen in ((-0.6, "colour"), (-0.25, "bright"), (-0.35, "bright")):
+    for cost, chosen in ((-0.6, "colour"), (-0.25, "bright"), (-0.37, "bright")):
         both = [search.Candidate(plain, point, -0.3), search.Candidate(veil, point, cost)]
         assert choice.ordered(both)[0].hypothesis.name == chosen
 
