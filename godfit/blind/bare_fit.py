@@ -149,7 +149,7 @@ def found_in(
         sure = certainty(best, settings.place, settings.seed)
         say("exact numbers")
         given = Given(settings.fix, settings.start, settings.pass_scale)
-        posed = Posed(copy, picture, shading, given)
+        posed = Posed(copy, picture, shading, given, not box)
         exact = solved_exactly(best, posed, settings.seed, requested)
         if exact.exact and exact.settled.sigma < ROUNDING_NOISE:
             # Every pixel is explained: what other hypotheses make of differences is no doubt.

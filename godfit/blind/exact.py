@@ -77,12 +77,15 @@ class Given(NamedTuple):
 
 
 class Posed(NamedTuple):
-    """A picture and its ``copy``, the ``shading`` at no particular point, and what is ``given``."""
+    """A picture and its ``copy``, the ``shading`` at no particular point, and what is ``given``;
+    whether the shading is the picture's own, or stands in for another: then the light alone is of
+    use."""
 
     copy: Reduced
     picture: Picture
     shading: Mitchell
     given: Given
+    own: bool = True
 
 
 class Exact(NamedTuple):
@@ -127,7 +130,7 @@ def solved_exactly(
         known = picture.valid
     unit = SCREENED_UNIT if shading.convention.blend == "screen" else 1.0
     texture = drawn(candidate.hypothesis, FINE_PAIRS, seed).spread * LEVELS * unit
-    calm = candidate.hypothesis.name != "bright" and texture < CALM
+    calm = posed.own and candidate.hypothesis.name != "bright" and texture < CALM
     mask = shrink_mask(open_, posed.given.pass_scale or 1.0)
     picture = dataclasses.replace(picture, mask=mask, valid=known)
     degree = 0 if calm else 2
