@@ -26,6 +26,7 @@ from godfit.inference.information import evidence
 from godfit.inference.observation import Picture
 from godfit.io.filters import shrink
 from godfit.io.image import LEVELS, Image
+from godfit.models.build import mitchell_template
 from godfit.models.coordinates import (
     DENSITY,
     EDGE,
@@ -134,14 +135,15 @@ def found_in(
     box = bool(shading.convention.box)
     if box:
         notes += (BOX.format(shading.shader),)
-        shading = Mitchell(1.0, 0.9, 0.5, 0.5, [[0.5, 0.5]], "mitchell", None)
+        shading = mitchell_template("mitchell", None, 1)
     say("background, objects, panels")
     picture, lying = _picture(target, settings.valid, shading)
     notes += tuple(PANEL.format(*place) for place in lying)
     copy = reduced(picture.levels, picture.valid, shading.convention)
     occluded = np.zeros(copy.valid.shape, bool)
     if settings.occluder is not None:
-        occluded = shrink(settings.occluder.astype(np.float32), occluded.shape) > 0.5
+        h, w = occluded.shape
+        occluded = shrink(settings.occluder.astype(np.float32), (h, w)) > 0.5
     with kept_for_later():
         candidates = ordered(_searched(_tried(copy, occluded, settings), settings, say))
         best = candidates[0]

@@ -192,8 +192,8 @@ def _start(
     if hypothesis.name == "bright":
         held[VEIL] = 0.0
     z = np.where(np.isnan(held), z, held).astype(np.float32)
-    lower, upper = model.bounds()
-    return np.clip(z, np.float32(lower), np.float32(upper)), held
+    lower, upper = (np.asarray(end, np.float32) for end in model.bounds())
+    return np.clip(z, lower, upper), held
 
 
 def blocks(picture: Picture, seed: int) -> np.ndarray:
