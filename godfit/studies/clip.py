@@ -80,7 +80,7 @@ class _Answer(NamedTuple):
     def determined(self) -> np.ndarray:
         """(4,) which coordinates of the scattering the frame determines."""
         determined = (np.diag(self.covariance)[:SHARED_COUNT] > 0) & (not self.message)
-        determined[[index for index, _ in self.open_]] = False
+        determined[[index for index, _ in self.open_ if index < SHARED_COUNT]] = False
         return determined
 
 
