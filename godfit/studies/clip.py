@@ -80,7 +80,7 @@ class _Answer(NamedTuple):
     def determined(self) -> np.ndarray:
         """(4,) which coordinates of the scattering the frame determines."""
         determined = (np.diag(self.covariance)[:SHARED_COUNT] > 0) & (not self.message)
-        determined[[index for index, _ in self.open_ if index < SHARED_COUNT]] = False
+        determined[[index for index, _ in self.open_]] = False
         return determined
 
 
@@ -178,7 +178,12 @@ def _answer(name: str, found: Found) -> _Answer:
     at, slopes = (
         np.asarray(a, np.float64) for a in _shader_coordinates(found.problem.model, z, held)
     )
-    open_ = [(index, [i for i in others if i < len(at)]) for index, others in found.opened]
+    # What else a bare picture leaves open, its disc's radius and veil, is no part of the shader.
+    open_ = [
+        (index, [i for i in others if i < len(at)])
+        for index, others in found.opened
+        if index < SHARED_COUNT
+    ]
     covariance = slopes @ spread(found).covariance @ slopes.T
     return _Answer(name, at, covariance, open_, found.objection)
 
