@@ -212,4 +212,5 @@ def test_a_clip_of_bare_pictures_names_every_frames_light(single_precision):
     frames = [scene(light=light)[0] for light in lights]
     result = godfit.fit_clip(frames, shader="dawntime", samples=60)
     for frame, light in zip(result.frames, lights, strict=True):
-        assert np.abs(np.subtract(frame.light, light)).max() < HALF_A_TEXEL
+        # What counts as found in a single picture.
+        assert np.abs(np.subtract(frame.light, light)).max() < 0.01
