@@ -72,8 +72,8 @@ RIVAL_COST = 0.5
 RIVAL_PLACE = 0.02
 """Distance of the lights of two hypotheses that both explain, up to which they agree."""
 NEXT = (
-    "; give a second screenshot with the effect off (--background off.png), or --start light_x=U "
-    "light_y=V, --occluder, --mask"
+    "; give a second screenshot with the effect off (--background off.png), or --light-near U,V, "
+    "--occluder, --mask"
 )
 NO_RAYS = "no rays were found: a light explains too little of this picture ({:.3f} per pair)"
 UNSURE = "the light explains too little of this picture to be sure of it ({:.3f} per pair)"
