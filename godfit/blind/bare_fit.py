@@ -142,8 +142,8 @@ def found_in(
     copy = reduced(picture.levels, picture.valid, shading.convention)
     occluded = np.zeros(copy.valid.shape, bool)
     if settings.occluder is not None:
-        h, w = occluded.shape
-        occluded = shrink(settings.occluder.astype(np.float32), (h, w)) > 0.5
+        size = copy.valid.shape[0], copy.valid.shape[1]
+        occluded = shrink(settings.occluder.astype(np.float32), size) > 0.5
     with kept_for_later():
         candidates = ordered(_searched(_tried(copy, occluded, settings), settings, say))
         best = candidates[0]
