@@ -26,6 +26,7 @@ from godfit.inference.information import evidence
 from godfit.inference.observation import Picture
 from godfit.io.filters import shrink
 from godfit.io.image import LEVELS, Image
+from godfit.models.build import mitchell_template
 from godfit.models.coordinates import (
     DENSITY,
     EDGE,
@@ -48,6 +49,8 @@ LEAST_SIZE = 32
 """Least width and height of a picture: rays are a few pixels wide there."""
 FOREIGN = 0.02
 """Share of pixels that may have any level: what no hypothesis explains."""
+MOST_PLACE_ERROR = 0.01
+"""Largest standard error of a light that counts as found, as a share of the picture."""
 MOST_DENSITY_ERROR = 0.1
 """Largest standard error of a density that is quoted: more is no number."""
 MOST_KAPPA_ERROR = 0.3
@@ -69,13 +72,14 @@ RIVAL_COST = 0.5
 RIVAL_PLACE = 0.02
 """Distance of the lights of two hypotheses that both explain, up to which they agree."""
 NEXT = (
-    "; give a second screenshot with the effect off (--background off.png), or --start light_x=U "
-    "light_y=V, --occluder, --mask"
+    "; give a second screenshot with the effect off (--background off.png), or --light-near U,V, "
+    "--occluder, --mask"
 )
 NO_RAYS = "no rays were found: a light explains too little of this picture ({:.3f} per pair)"
 UNSURE = "the light explains too little of this picture to be sure of it ({:.3f} per pair)"
 DISAGREE = "searches on independent pixels disagree on the light by {:.1f}% of the picture"
 RIVALS = "two masks explain the picture, with lights {:.1f}% of it apart"
+LOOSE = "the light is known to {:.1f}% of the picture only"
 AT_END = "a number of the search lies at the end of its range"
 MOVED = "the exact light is {:.1f}% of the picture from that of the search"
 STRUCTURE = "the residual is structure of {:.1f} levels, which the light does not explain"
@@ -131,14 +135,15 @@ def found_in(
     box = bool(shading.convention.box)
     if box:
         notes += (BOX.format(shading.shader),)
-        shading = Mitchell(1.0, 0.9, 0.5, 0.5, [[0.5, 0.5]], "mitchell", None)
+        shading = mitchell_template("mitchell", None, 1)
     say("background, objects, panels")
     picture, lying = _picture(target, settings.valid, shading)
     notes += tuple(PANEL.format(*place) for place in lying)
     copy = reduced(picture.levels, picture.valid, shading.convention)
     occluded = np.zeros(copy.valid.shape, bool)
     if settings.occluder is not None:
-        occluded = shrink(settings.occluder.astype(np.float32), occluded.shape) > 0.5
+        size = copy.valid.shape[0], copy.valid.shape[1]
+        occluded = shrink(settings.occluder.astype(np.float32), size) > 0.5
     with kept_for_later():
         candidates = ordered(_searched(_tried(copy, occluded, settings), settings, say))
         best = candidates[0]
@@ -146,7 +151,7 @@ def found_in(
         sure = certainty(best, settings.place, settings.seed)
         say("exact numbers")
         given = Given(settings.fix, settings.start, settings.pass_scale)
-        posed = Posed(copy, picture, shading, given)
+        posed = Posed(copy, picture, shading, given, not box)
         exact = solved_exactly(best, posed, settings.seed, requested)
         if exact.exact and exact.settled.sigma < ROUNDING_NOISE:
             # Every pixel is explained: what other hypotheses make of differences is no doubt.
@@ -295,6 +300,9 @@ def _concluded(
             opened.append((index, []))
             free[index], held[index] = False, z[index]
             scatter[index] = scatter[:, index] = 0.0
+    error = float(np.sqrt(np.diag(scatter)[known[:2]].max()))
+    if error > MOST_PLACE_ERROR:
+        doubts = [*doubts, LOOSE.format(100 * error)]
     objection = doubts[0] + NEXT if doubts else ""
     remarks = tuple(Remark(doubt, "unsure") for doubt in doubts[1:])
     return Found(
@@ -305,7 +313,7 @@ def _concluded(
 
 def _lost(exact: Exact, scatter: np.ndarray, box: bool) -> list[int]:
     """Coordinates that the picture does not determine well enough to be told as numbers."""
-    if box or not exact.exact:
+    if box or not exact.exact or exact.settled.sigma > EXPLAINED_NOISE:
         return [KAPPA, DENSITY, GAIN, RADIUS, EDGE, VEIL]
     z, error = exact.settled.coordinates, np.sqrt(np.diag(scatter))
     # The gain of a disc that is clipped trades with its radius, in a valley that is no straight

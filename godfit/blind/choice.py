@@ -7,7 +7,7 @@ from godfit.blind.search import Candidate
 VEIL_COST = -0.28
 """Misfit per pair, less that without light, from which a disc on a veil is believed. It has two
 gains and a step more than a bright mask, and its clipped pixels are data: less is overfitting."""
-VEIL_LEAD = 1.4
+VEIL_LEAD = 1.3
 """How many times as much it must explain as the bright mask."""
 
 

@@ -77,12 +77,15 @@ class Given(NamedTuple):
 
 
 class Posed(NamedTuple):
-    """A picture and its ``copy``, the ``shading`` at no particular point, and what is ``given``."""
+    """A picture and its ``copy``, the ``shading`` at no particular point, and what is ``given``;
+    whether the shading is the picture's own, or stands in for another: then the light alone is of
+    use."""
 
     copy: Reduced
     picture: Picture
     shading: Mitchell
     given: Given
+    own: bool = True
 
 
 class Exact(NamedTuple):
@@ -125,8 +128,9 @@ def solved_exactly(
     open_, known = open_mask(candidate, posed)
     if known.mean() < LEAST_SHARE:
         known = picture.valid
-    texture = drawn(candidate.hypothesis, FINE_PAIRS, seed).spread * LEVELS
-    calm = candidate.hypothesis.name != "bright" and texture < CALM
+    unit = SCREENED_UNIT if shading.convention.blend == "screen" else 1.0
+    texture = drawn(candidate.hypothesis, FINE_PAIRS, seed).spread * LEVELS * unit
+    calm = posed.own and candidate.hypothesis.name != "bright" and texture < CALM
     mask = shrink_mask(open_, posed.given.pass_scale or 1.0)
     picture = dataclasses.replace(picture, mask=mask, valid=known)
     degree = 0 if calm else 2
@@ -188,8 +192,8 @@ def _start(
     if hypothesis.name == "bright":
         held[VEIL] = 0.0
     z = np.where(np.isnan(held), z, held).astype(np.float32)
-    lower, upper = model.bounds()
-    return np.clip(z, np.float32(lower), np.float32(upper)), held
+    lower, upper = (np.asarray(end, np.float32) for end in model.bounds())
+    return np.clip(z, lower, upper), held
 
 
 def blocks(picture: Picture, seed: int) -> np.ndarray:

@@ -108,6 +108,8 @@ def colour(copy: Reduced, occluded: np.ndarray) -> Hypothesis | None:
 def ground_colour(values: np.ndarray, valid: np.ndarray, clipped: np.ndarray) -> np.ndarray:
     """(h, w) pixels of the ground's colour, at least as bright as it."""
     usable = valid & ~clipped
+    if not usable.any():
+        return valid
     across = values[..., :2] - values[..., 1:]
     bins = np.arange(-1, 1 + COLOUR_BIN, COLOUR_BIN)
     counts, *_ = np.histogram2d(*across[usable].T, bins=[bins, bins])
@@ -115,6 +117,8 @@ def ground_colour(values: np.ndarray, valid: np.ndarray, clipped: np.ndarray) ->
     middle = np.array([bins[i], bins[j]]) + COLOUR_BIN / 2
     for _ in range(3):
         near = usable & (np.abs(across - middle).max(-1) < 1.5 * COLOUR_BIN)
+        if not near.any():
+            break
         middle = np.median(across[near], axis=0)
     open_ = (np.abs(across - middle).max(-1) < COLOUR_WIDTH) | clipped
     mean = values.mean(-1)
@@ -125,6 +129,8 @@ def ground_colour(values: np.ndarray, valid: np.ndarray, clipped: np.ndarray) ->
 
 def darkness(copy: Reduced, occluded: np.ndarray) -> Hypothesis | None:
     """Open where the picture is not dark: the lighter of two classes of brightness (k-means)."""
+    if not copy.usable.any():
+        return None
     mean = copy.values.mean(-1)
     open_ = ((mean > dark_threshold(mean[copy.usable])) | copy.clipped) & copy.valid & ~occluded
     return _disc_on_veil("darkness", copy, open_)

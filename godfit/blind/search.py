@@ -125,7 +125,8 @@ def searched(hypothesis: Hypothesis, near: tuple[float, float] | None, seed: int
 
     found = differential_evolution(
         cost, list(zip(lower, upper, strict=True)), vectorized=True, updating="deferred",
-        init=begun, maxiter=GENERATIONS, tol=1e-4, rng=seed, polish=False, mutation=(0.5, 0.9),
+        init=begun,  # pyright: ignore[reportArgumentType]
+        maxiter=GENERATIONS, tol=1e-4, rng=seed, polish=False, mutation=(0.5, 0.9),
         recombination=0.8, callback=lambda intermediate_result: requested(),
     )  # fmt: skip
     fine = drawn(hypothesis, FINE_PAIRS, seed + 2)

@@ -197,7 +197,12 @@ def _answer(name: str, found: Found) -> _Answer:
     at, slopes = (
         np.asarray(a, np.float64) for a in _shader_coordinates(found.problem.model, z, held)
     )
-    open_ = [(index, [i for i in others if i < len(at)]) for index, others in found.opened]
+    # What else a bare picture leaves open, its disc's radius and veil, is no part of the shader.
+    open_ = [
+        (index, [i for i in others if i < len(at)])
+        for index, others in found.opened
+        if index < SHARED_COUNT
+    ]
     covariance = slopes @ spread(found).covariance @ slopes.T
     return _Answer(name, at, covariance, open_, found.objection)
 
