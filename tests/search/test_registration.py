@@ -45,7 +45,7 @@ def test_a_cropped_target_is_fitted_with_a_note():
 
 
 def test_a_mask_of_another_frame_is_refused_and_the_option_is_named():
-    mask = np.eye(60)
+    mask = np.eye(60, 50)
     with pytest.raises(InputError, match="--register"):
         godfit.fit(np.eye(50), mask=mask, shader="dawntime")
     with pytest.raises(InputError, match="within 10% of the target's 50x50"):

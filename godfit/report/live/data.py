@@ -28,7 +28,7 @@ from godfit.models.base import AbstractModel
 from godfit.models.mitchell import Mitchell
 from godfit.models.staged import Staged
 from godfit.models.tinted import Tinted
-from godfit.report.live.glsl import described
+from godfit.report.live.glsl import described, is_drawn
 from godfit.report.text import half_sentence
 from godfit.runtime.guest import as_guest
 from godfit.scattering.conventions import CONVENTIONS
@@ -244,6 +244,10 @@ def controls(shown: Shown) -> dict[str, Any]:
     if shading is None:
         reason = f"{shown.model.name} is no sum over a mask, which is all that a page runs"
         return {"live": False, "reason": reason, "params": [], "lights": []}
+    if not is_drawn(shading.convention):
+        reason = f"{shading.shader} is a composition of sums, which no page runs"
+        return {"live": False, "reason": reason, "params": [], "lights": []}
+    drawn = {name: described(shader) for name, shader in CONVENTIONS.items() if is_drawn(shader)}
     params = dict(shown.params)
     lights = [row.name for row in light_parameters(len(shown.model.light))]
     placed = zip(lights, np.asarray(shown.model.light).reshape(-1), strict=True)
@@ -257,7 +261,8 @@ def controls(shown: Shown) -> dict[str, Any]:
         "lights": [lights[i : i + 2] for i in range(0, len(lights), 2)],
         "shader": shading.shader,
         "samples": int(shading.samples),
-        "conventions": {name: described(shader) for name, shader in CONVENTIONS.items()},
+        # A user's own shader is none of those that are shipped.
+        "conventions": drawn | {shading.shader: described(shading.convention)},
         "copy": copied_text(shown, [row["name"] for row in rows]),
     }
 
