@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
-from godfit.models.bright_pass import brightness
 from scipy import ndimage
 
 from godfit.models.mitchell import Mitchell
+from godfit.scattering.conventions.convention import LUMA
 
 PHOTOGRAPH_SHADER = "dawntime"
 """The convention of the light pass."""
@@ -61,7 +61,7 @@ def make_photograph(
         "samples": int(rng.choice([60, 100, 150])),
     }
     truth["decay"] = float(rng.uniform(0.05, 0.8) ** (1 / truth["samples"]))
-    soft = (brightness(scene) - truth["threshold"]) / truth["softness"]
+    soft = (scene @ np.array(LUMA, scene.dtype) - truth["threshold"]) / truth["softness"]
     mask = (1 / (1 + np.exp(-soft))).astype(np.float32)
     unit = _light_pass(mask, truth | {"exposure": 1.0})
     # The rays are as bright as haze, so that dark surfaces stay dark.

@@ -84,6 +84,7 @@ SHOWN_FAILURES = 20
 @click.option("--merge", is_flag=True, help="TARGETs are runs or journals: gather them in one.")
 @click.option("--retry-failed", is_flag=True, help="Fit the frames that failed, and no others.")
 @click.option("--pictures", is_flag=True, help="Write fit.json, fit.png and render.png of each.")
+@click.option("--html", is_flag=True, help="Write report.html of each too, see `godfit view`.")
 @click.option("--table", metavar="FILE", help="Write a table, .csv or .parquet.")
 @click.option("--report", is_flag=True, help="Write DIR/report.html, a page with all frames.")
 @with_run(
@@ -113,9 +114,9 @@ def batch(
     from godfit.studies.batch.run import Settings, exit_status, opened_journal
     from godfit.studies.batch.table import check_name, write_table
 
-    merge, clips, retry, pictures, table, report = (
+    merge, clips, retry, pictures, html, table, report = (
         given.pop(name)
-        for name in ("merge", "clips", "retry_failed", "pictures", "table", "report")
+        for name in ("merge", "clips", "retry_failed", "pictures", "html", "table", "report")
     )
     assert run.output is not None
     place = None if shard is None else shard_place(shard)
@@ -134,7 +135,7 @@ def batch(
         # journal has it among those that failed.
         journal.plan([] if retry else [(job.path, job.key) for job in jobs], place)
         if jobs:
-            settings = Settings(run.output, retry, pictures, command_line())
+            settings = Settings(run.output, retry, pictures, command_line(), html)
             engine = Engine(workers, scheduler, own_process=True)
             fit_all(jobs, journal, engine, settings, run)
         counts = journal.counts()

@@ -26,7 +26,7 @@ def fitted(tmp_path_factory):
     write_frames(folder, COUNT, SIZE)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        files = ("--table", "t.csv", "--report", "--pictures")
+        files = ("--table", "t.csv", "--report", "--html")
         assert main([*BATCH, *files]) == 0
     return folder
 
@@ -65,7 +65,9 @@ def test_each_record_is_that_of_a_fit_alone(fitted):
     jsonschema.validate(record, schema("fit"))
     assert record["inputs"]["mask"]["path"] == "masks/f_1.png"
     (folder,) = fitted.glob("run/frames/f_1-*")
-    assert sorted(p.name for p in folder.iterdir()) == ["fit.json", "fit.png", "render.png"]
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "fit.json", "fit.png", "render.png", "report.html",
+    ]  # fmt: skip
     assert json.loads((folder / "fit.json").read_text()) == record
     result = godfit.fit(
         "frames/f_1.png", mask="masks/f_1.png", shader="dawntime", samples=SAMPLES

@@ -108,7 +108,7 @@ def made(kind: str, seed: int, size: int) -> tuple[np.ndarray, dict[str, Any], d
     curves = {
         "srgb": srgb, "reinhard": lambda x: x / (1 + x), "aces": aces,
         "reinhard strong": lambda x: 4 * x / (1 + 4 * x),
-        "filmic": lambda x: hable(2 * x) / hable(np.float64(11.2)),
+        "filmic": lambda x: hable(2 * x) / hable(np.array(11.2)),
     }  # fmt: skip
     if kind in axes:
         image = np.flip(image, axes[kind])

@@ -43,13 +43,14 @@ class FrameFit(NamedTuple):
 
 class Settings(NamedTuple):
     """What a run does beside its fits: ``retry_failed`` fits the frames that failed and no others;
-    ``folder`` is the run's, in which fits leave ``pictures`` if wanted; ``command`` is kept in the
-    records."""
+    ``folder`` is the run's, in which fits leave ``pictures`` if wanted, and with ``html`` their
+    pages too; ``command`` is kept in the records."""
 
     folder: str = ""
     retry_failed: bool = False
     pictures: bool = False
     command: str = ""
+    html: bool = False
 
 
 def batch(
@@ -126,14 +127,15 @@ def to_do(jobs: Sequence[Job], journal: Journal, settings: Settings) -> list[Job
         return [job for job in jobs if stored_name(job.path) in failed]
     done = journal.done()
     left = [job for job in jobs if job.key not in done]
-    if settings.pictures:
+    last = "report.html" if settings.html else "fit.png"
+    if settings.pictures or settings.html:
         # A fit that was made without its pictures is made again.
         lacking = {CONVERGED, NOT_CONVERGED}
         left += [
             job
             for job in jobs
             if done.get(job.key) in lacking
-            and not os.path.isfile(os.path.join(_folder(job, settings), "fit.png"))
+            and not os.path.isfile(os.path.join(_folder(job, settings), last))
         ]
     return left
 
@@ -160,8 +162,12 @@ def run_jobs(
     version = metadata.version("godfit")
 
     def task_of(job: Job) -> Task:
-        folder = os.path.abspath(_folder(job, settings)) if settings.pictures else ""
-        return Task(job.targets, job.options, os.getcwd(), folder, settings.command, version)
+        wanted = settings.pictures or settings.html
+        folder = os.path.abspath(_folder(job, settings)) if wanted else ""
+        return Task(
+            job.targets, job.options, os.getcwd(), folder, settings.command, version,
+            page=settings.html,
+        )  # fmt: skip
 
     for job, outcome in outcomes(list(once.values()), task_of, engine):
         yield from _kept(journal, alike[job.key], job.key, outcome)

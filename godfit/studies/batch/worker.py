@@ -48,8 +48,9 @@ class Outcome(NamedTuple):
 class Task(NamedTuple):
     """What a worker is sent: plain values, with names of files relative to the folder ``root``.
 
-    ``folder`` is where the pictures of the result go, empty for none. ``version`` is that of the
-    package which sends it. ``own_process`` says that the process may be set up for fits alone.
+    ``folder`` is where the pictures of the result go, empty for none, with its ``page`` if wanted.
+    ``version`` is that of the package which sends it. ``own_process`` says that the
+    process may be set up for fits alone.
     """
 
     targets: tuple[str, ...]
@@ -59,6 +60,7 @@ class Task(NamedTuple):
     command: str = ""
     version: str = ""
     own_process: bool = True
+    page: bool = False
 
 
 def fit_one(task: Task) -> Outcome:
@@ -158,7 +160,7 @@ def _fitted(task: Task) -> tuple[dict[str, Any], bytes]:
             frame["path"] = frame["path"].removeprefix(os.path.join(task.root, ""))
         if task.folder:
             try:
-                result.save(task.folder, task.command)
+                result.save(task.folder, task.command, task.page)
                 _save_record(Path(task.folder), record)
             except OSError as error:
                 raise InputError(f"'{task.folder}': {error.strerror or error}") from error
