@@ -114,9 +114,9 @@ def batch(
     from godfit.studies.batch.run import Settings, exit_status, opened_journal
     from godfit.studies.batch.table import check_name, write_table
 
-    merge, clips, retry, pictures, html, table, report = (
+    merge, clips, retry, pictures, table, report = (
         given.pop(name)
-        for name in ("merge", "clips", "retry_failed", "pictures", "html", "table", "report")
+        for name in ("merge", "clips", "retry_failed", "pictures", "table", "report")
     )
     assert run.output is not None
     place = None if shard is None else shard_place(shard)
@@ -135,7 +135,7 @@ def batch(
         # journal has it among those that failed.
         journal.plan([] if retry else [(job.path, job.key) for job in jobs], place)
         if jobs:
-            settings = Settings(run.output, retry, pictures, command_line(), html)
+            settings = Settings(run.output, retry, pictures, command_line(), run.html)
             engine = Engine(workers, scheduler, own_process=True)
             fit_all(jobs, journal, engine, settings, run)
         counts = journal.counts()
