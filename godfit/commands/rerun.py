@@ -119,7 +119,7 @@ def _job_of_command(source: str, record: Mapping[str, Any]) -> Job:
         given = dict(context.params)
     targets = given.pop("target")
     lights = lights_given(given.pop("light"), given.pop("light_px"), given.pop("light_origin"))
-    for other in ("output", "as_json", "quiet", "verbose", "profile", "posterior"):
+    for other in ("output", "as_json", "quiet", "verbose", "html", "profile", "posterior"):
         given.pop(other, None)
     if "size" in record and lights.places:
         starts = lights.starts(tuple(record["size"][::-1]))
