@@ -14,14 +14,12 @@ import numpy as np
 from scipy.special import ndtri
 
 from godfit.inference.allowances.arithmetic import with_arithmetic
-from godfit.inference.noise import EXPLAINED, best_sigma, noise_of
+from godfit.inference.noise import EXPLAINED, SINGLE_PRECISION, best_sigma, noise_of
 from godfit.inference.observation import Observation
 from godfit.inference.problem import Problem
 from godfit.inference.settle import Settled, settle
 from godfit.inference.solver import Tangent, tangent_at
 
-SAME_LEVEL = 1e-4
-"""Levels within which values count as equal: the error of float32 at 255."""
 REPEATED_VALUES = 4
 """Equal values that are no coincidence."""
 PUSH_SPREADS = 8.0
@@ -44,7 +42,7 @@ def relieved(observation: Observation, prediction: np.ndarray, sigma: float) -> 
     near = np.flatnonzero((slack < PUSH_SPREADS * noise) & (hi > lo))
     if not len(near):
         return observation
-    level = np.rint(prediction[near].astype(np.float64) / SAME_LEVEL).astype(np.int64)
+    level = np.rint(prediction[near].astype(np.float64) / SINGLE_PRECISION).astype(np.int64)
     level -= level.min()
     # All lie near an end of some level's interval, so that the table has a few million entries.
     count = np.bincount(level)[level]

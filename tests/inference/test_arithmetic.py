@@ -10,9 +10,9 @@ import pytest
 from godfit import InputError, fit, read_image, write_image
 from godfit.inference.allowances.arithmetic import (
     FRACTION_ROUNDING,
-    WALK_ROUNDING,
     squared_slopes,
     squared_sum,
+    walk_variances,
     with_arithmetic,
 )
 from godfit.inference.allowances.mask_rounding import (
@@ -20,6 +20,7 @@ from godfit.inference.allowances.mask_rounding import (
     pull_covariance,
     rounded_texels,
 )
+from godfit.inference.noise import SIGMAS, noise_of
 from godfit.inference.observation import EXACT, GPU, Picture
 from godfit.inference.problem import Problem
 from godfit.io.sidecar import read_sidecar
@@ -78,9 +79,48 @@ def test_columns_and_rows_of_a_walk_have_lights_of_their_own():
     explained = slopes[..., 0] * across[None] + slopes[..., 1] * down[:, None]
     assert ((off - explained) ** 2).sum() < 0.1 * (off**2).sum()
     # And the noise that a fit allows for is of the size of these displacements.
-    expected = WALK_ROUNDING * TRUTH["samples"] / TRUTH["density"]
-    for size in (np.sqrt(np.mean(across**2)), np.sqrt(np.mean(down**2))):
-        assert 0.3 * expected < size < 1.2 * expected
+    one = problem(random_targets.to_bytes(walked), GPU)
+    whole = one.picture.observe(np.arange(walked.size))
+    expected = walk_variances(whole, np.array([LIGHT]), model().walk).reshape(2, *SIZE)
+    for found, allowed in ((across, expected[0, 0]), (down, expected[1, :, 0])):
+        assert 0.4 < np.mean(found**2) / np.mean(allowed) < 1.3
+    assert np.ptp(expected[0], 0).max() == np.ptp(expected[1], 1).max() == 0
+
+
+def test_drifts_are_of_the_grid_along_the_way():
+    """Between a quarter and a half float32's grid has half the spacing that it has above."""
+    one = problem(np.zeros(SIZE, np.uint8), GPU)
+    whole = one.picture.observe(np.arange(SIZE[0] * SIZE[1]))
+    unit = (2.0**-24 * TRUTH["samples"] / TRUTH["density"]) ** 2 / 12
+    lights = np.array([[0.3, 0.3], [0.9, 0.9]])
+    low, lower, high, higher = walk_variances(whole, lights, model().walk).reshape(4, *SIZE)
+    np.testing.assert_allclose(low[0, 30:48], unit / 4, rtol=1e-5)
+    np.testing.assert_allclose(high[0, 48:], unit, rtol=1e-5)
+    # Texture coordinates point up.
+    np.testing.assert_allclose(lower[37:50, 0], unit / 4, rtol=1e-5)
+    np.testing.assert_allclose(higher[:36, 0], unit, rtol=1e-5)
+
+
+@pytest.mark.parametrize("fractions", [None, 256])
+def test_the_likelier_arithmetic_is_allowed_for(fractions, single_precision):
+    target = random_targets.to_bytes(gpu_walk.walk(mask(), SHADER, TRUTH, fractions))
+    one = problem(target, GPU)
+    whole = one.picture.observe(np.arange(target.size))
+    z = np.asarray(model().coordinates(), np.float32)
+    found = np.asarray(with_arithmetic(whole, one, z).own_noise)
+    slopes = squared_slopes(jnp.asarray(mask()))
+    rounded = 255 * FRACTION_ROUNDING * np.sqrt(np.asarray(squared_sum(model(), slopes, None)))
+    # What rounded fractions add is well above the rest, or is not there.
+    some = rounded.ravel() > np.median(rounded)
+    share = np.mean(found[some] > 0.9 * rounded.ravel()[some])
+    assert share < 0.5 if fractions is None else share > 0.95
+
+
+def test_own_noise_stands_for_the_least_common_noise():
+    own = np.array([1e-4, 3.0], np.float32)
+    np.testing.assert_allclose(noise_of(SIGMAS[0], own), own, rtol=1e-6)
+    np.testing.assert_allclose(noise_of(np.float32(4), own), np.hypot(4, own), rtol=1e-5)
+    assert noise_of(SIGMAS[0], None) == SIGMAS[0]
 
 
 def test_fractions_of_a_texel_are_off_by_the_slopes_of_the_mask():
@@ -125,8 +165,8 @@ def test_noise_does_not_depend_on_what_is_held(single_precision):
         exact = one.replaced(picture=dataclasses.replace(one.picture, arithmetic=EXACT))
         assert with_arithmetic(whole, exact, z).own_noise is None
     np.testing.assert_allclose(*noise, rtol=1e-3, atol=1e-7)
-    walk = WALK_ROUNDING * TRUTH["samples"] / TRUTH["density"] * 255
-    lower = walk * np.linalg.norm(by_light(), axis=-1).ravel()
+    drifts = walk_variances(whole, np.array([LIGHT]), model().walk)
+    lower = 255 * np.sqrt((drifts.T * by_light().reshape(-1, 2) ** 2).sum(1))
     # At kinks of the mask single precision may take the other slope.
     assert np.mean(noise[0] >= 0.999 * lower) > 0.99
 

@@ -15,9 +15,13 @@ fraction, so that a value has the variance
 
     (2^-8)^2 / 12 sum_k c_k^2 |grad M_k|^2
 
-which is one more radial sum: that of the squared slopes by the squared weights. A light pass in
-half floats is rounded to these before it becomes bytes. All channels share one drift: as many times
-the variance make them count as one.
+which is one more radial sum: that of the squared slopes by the squared weights. Other renderers
+interpolate in float32. A picture does not say which of the two drew it, but its likelihood differs:
+fractions that are rounded push far more bytes to the next level than a walk does. The likelier of
+the two hypotheses is taken, and where neither is clearly so, the one with more noise.
+
+A light pass in half floats is rounded to these before it becomes bytes. All channels share one
+drift: as many times the variance make them count as one.
 """
 
 from __future__ import annotations
@@ -32,8 +36,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from godfit.inference.allowances.mask_rounding import rounded_texels
+from godfit.inference.criteria import CLEAR, aic
+from godfit.inference.noise import SINGLE_PRECISION, best_sigma
 from godfit.inference.observation import EXACT, Observation
 from godfit.inference.problem import Problem
+from godfit.inference.settle import Settled, aim
 from godfit.inference.solver import Tangent, tangent_at
 from godfit.io.image import LEVELS, decode, encode
 from godfit.models.base import AbstractModel, Vector
@@ -45,8 +52,6 @@ from godfit.scattering.radial import radial_sum
 from godfit.scattering.taps import Taps
 from godfit.scattering.upsample import at_pixels
 
-WALK_ROUNDING = 2.0**-24 / math.sqrt(12)
-"""Standard deviation, in texture coordinates, of a rounding to float32's grid between .5 and 1."""
 FRACTION_ROUNDING = 2.0**-8 / math.sqrt(12)
 """Standard deviation, in texels, of a rounding to 1/256 of a texel."""
 
@@ -70,28 +75,72 @@ def with_arithmetic(
     tangent = tangent or tangent_at(coordinates, problem, plain)
     columns = [i for i, name in enumerate(problem.names) if is_light(name)]
     if columns and np.isnan(problem.held[columns]).all():
-        by_light = np.zeros(len(tangent.prediction), np.float32)
-        for i in columns:
-            by_light += np.square(tangent.jacobian[i] / tangent.scale[i])
+        light = np.asarray(problem.at(coordinates).light)
+        slopes = tangent.jacobian[columns] / tangent.scale[columns][:, None]
     else:
         # A light that is held, or that follows a scene, has no column of its own.
-        by_light = np.asarray(_by_light(coordinates, problem.held, model, plain))
-    variance = (WALK_ROUNDING / float(walk.step)) ** 2 * by_light
-    if isinstance(model, (Mitchell, AbstractShaded)):
-        texels = rounded_texels(picture, model)
-        by_taps = _by_taps(coordinates, problem.held, model, (plain, texels), tangent.prediction)
-        variance = variance + np.asarray(by_taps)
-        if model.convention.half_floats:
-            variance = variance + half_float_variance(tangent.prediction)
-    noise = np.sqrt(picture.channels * variance).astype(np.float32)
-    return observation.with_noise(noise)
+        light, slopes = _by_light(coordinates, problem.held, model, plain)
+    drifts = walk_variances(plain, np.asarray(light, np.float64).reshape(-1, 2), walk)
+    variance = np.einsum("im,im->m", np.square(np.asarray(slopes)), drifts)
+    if not isinstance(model, (Mitchell, AbstractShaded)):
+        return _noisy(plain, variance)
+
+    def by_taps(texels: np.ndarray | None) -> np.ndarray:
+        at = coordinates, problem.held, model, (plain, texels)
+        return np.asarray(_by_taps(*at, tangent.prediction))
+
+    texels = rounded_texels(picture, model)
+    if texels is not None:
+        variance = variance + by_taps(texels)
+    if model.convention.half_floats:
+        variance = variance + half_float_variance(tangent.prediction)
+    fractions = variance + by_taps(None)
+    narrow, wide = _noisy(plain, variance), _noisy(plain, fractions)
+
+    def likelihood(noisy: Observation) -> float:
+        sigma, at = best_sigma(tangent.prediction, noisy)
+        here = Settled(coordinates, sigma, at + tangent.log_prior, False)
+        return aim(here, tangent, problem, noisy)[0].log_likelihood
+
+    # Neither hypothesis has a parameter that the other lacks: Akaike's criterion is the likelihood.
+    apart = aic(likelihood(wide), 0) - aic(likelihood(narrow), 0)
+    return narrow if apart > CLEAR else wide
+
+
+def _noisy(plain: Observation, variance: np.ndarray) -> Observation:
+    """The observation with noise of ``variance`` (m,), which the channels share, beside that of its
+    prediction in single precision."""
+    total = plain.channels * variance + SINGLE_PRECISION**2
+    return plain.with_noise(np.sqrt(total).astype(np.float32))
+
+
+def walk_variances(
+    observation: Observation, lights: Float[np.ndarray, "n 2"], walk: Taps
+) -> Float[np.ndarray, "2*n m"]:
+    """Variance of the displacement of each light (u, v) that a value of the observation has.
+
+    The mean square of the roundings along the way bounds that of their mean. They are of the grid
+    where the coordinate is, which is finer towards 0.
+    """
+    height, width = observation.size
+    pixels = np.asarray(observation.pixels)
+    count, step = int(walk.count), float(walk.step)
+    shares = step * np.arange(1, count + 1)
+    rows = []
+    for u, v in lights:
+        across, down = (np.arange(width) + 0.5) / width, 1 - (np.arange(height) + 0.5) / height
+        for places, light, at in ((across, u, pixels % width), (down, v, pixels // width)):
+            way = places[:, None] + shares * (light - places)[:, None]
+            rounding = np.square(np.spacing(np.abs(way).astype(np.float32)).astype(np.float64))
+            rows.append((rounding.mean(1) / 12 / step**2)[at])
+    return np.repeat(np.array(rows, np.float32), observation.channels, axis=1)
 
 
 @cached_jit
 def _by_light(
     coordinates: Vector, held: Vector, model: AbstractModel, observation: Observation
-) -> Float[Array, " m"]:
-    """Squared derivatives of the levels by the lights' texture coordinates, in sum."""
+) -> tuple[Float[Array, "n 2"], Float[Array, "2*n m"]]:
+    """The lights, and the derivatives of the levels by their texture coordinates."""
     flat, mask = model.moved(coordinates, held).flat(observation.mask)
     there = dataclasses.replace(observation, mask=mask)
     light = flat.light.reshape(-1)
@@ -101,7 +150,7 @@ def _by_light(
         return there.predict(moved)
 
     rows = [jax.jvp(predict, (light,), (way,))[1] for way in jnp.eye(len(light), dtype=light.dtype)]
-    return jnp.sum(jnp.square(jnp.stack(rows)), 0)
+    return flat.light, jnp.stack(rows)
 
 
 @cached_jit
@@ -112,14 +161,13 @@ def _by_taps(
     read: tuple[Observation, Float[Array, "..."] | None],
     prediction: Float[Array, " m"],
 ) -> Float[Array, " m"]:
-    """Variances of the levels where taps err by themselves: by rounded fractions of a texel, and by
-    the variances of the texels, which are ``read`` with the observation, None for none."""
+    """Variances of the levels where taps err by themselves. ``read`` are the observation and the
+    variances of the texels; None for those by rounded fractions of a texel."""
     observation, texels = read
     flat, mask = model.moved(coordinates, held).flat(observation.mask)
     assert isinstance(flat, Mitchell)
     some = None if observation.whole else observation.pixels
-    image = FRACTION_ROUNDING**2 * squared_slopes(mask)
-    image = image if texels is None else image + texels
+    image = FRACTION_ROUNDING**2 * squared_slopes(mask) if texels is None else texels
     squares = at_pixels(
         lambda image, at: squared_sum(flat, image, at), image, observation.size, some,
         observation.texels, flat.full_size,
