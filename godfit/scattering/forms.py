@@ -6,6 +6,7 @@ many taps.
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 from godfit.scattering.conventions import CONVENTIONS, Convention
@@ -46,6 +47,7 @@ def form_of(shader: Convention) -> Form | None:
     )
 
 
+@functools.cache
 def forms() -> dict[Form, list[Convention]]:
     """The conventions that are single sums, by the numbers that they fix."""
     found: dict[Form, list[Convention]] = {}
@@ -57,8 +59,8 @@ def forms() -> dict[Form, list[Convention]]:
 
 
 def count_of(shader: Convention, samples: int) -> int:
-    """The number of taps of a shader of ``samples``."""
-    return int(shader.taps(1.0, 0.9, 0.5, 0.5, samples)[0].count)
+    """The number of taps of a shader of ``samples`` that is a single sum."""
+    return int(shader.count(samples))
 
 
 class Named(NamedTuple):

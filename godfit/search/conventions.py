@@ -20,11 +20,13 @@ import numpy as np
 
 from godfit.errors import Remark
 from godfit.inference import sample_count
+from godfit.inference.evaluate import model_at
 from godfit.inference.fitted import Found
 from godfit.inference.information import misfit
 from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.problem import SEARCH_PIXELS, Problem
 from godfit.inference.settle import Settled, settle
+from godfit.inference.solver import tangent_at
 from godfit.inference.strategy import Effort, Report, stages, starting_points
 from godfit.io.image import LEVELS
 from godfit.io.jpeg import was_jpeg
@@ -194,9 +196,8 @@ def _spaced(model: Mitchell, taps: sample_count.Spacing) -> Mitchell:
     """``model`` with other taps, of the same attenuation and light along the ray."""
     z = np.array(model.coordinates(), np.float32)
     z[DENSITY] = taps.step * taps.samples
-    other = dataclasses.replace(model, samples=at_run_time(taps.samples)).moved(z)
-    assert isinstance(other, Mitchell)
-    return other
+    other = dataclasses.replace(model, samples=at_run_time(taps.samples))
+    return model_at(z, np.full(len(z), np.nan, np.float32), other)
 
 
 def identified(
@@ -237,8 +238,9 @@ def _is_explained(found: list[Explained]) -> bool:
 def _like_noise(explained: Explained) -> bool:
     problem = explained.problem
     observation = problem.observe(SEARCH_PIXELS)
-    levels = observation.predict(problem.at(explained.settled.coordinates))
-    return misfit(np.asarray(levels), observation).like_noise
+    # A comparison has compiled this program; the prediction alone would be another.
+    tangent = tangent_at(explained.settled.coordinates, problem, observation)
+    return misfit(tangent.prediction, observation).like_noise
 
 
 def _composed(

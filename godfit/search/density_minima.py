@@ -23,7 +23,7 @@ from godfit.inference.observation import Observation
 from godfit.inference.problem import SEARCH_PIXELS, Problem
 from godfit.inference.repeated_values import counted_once
 from godfit.inference.settle import Settled, settle, veil
-from godfit.inference.solver import solve
+from godfit.inference.solver import solve, tangent_at
 from godfit.inference.strategy import COARSE_TO_FINE, Report
 from godfit.io.filters import blurred_at
 from godfit.search.density_scan import BEYOND_DOUBT, NEARBY_TRIES, nearby_minima, scan_density
@@ -145,8 +145,8 @@ def _hopeless(settled: Settled, at: Evidence, observation: Observation) -> bool:
 
 
 def _like_noise(at: Settled, problem: Problem, observation: Observation) -> bool:
-    levels = observation.predict(problem.at(at.coordinates))
-    return misfit(np.asarray(levels), observation).like_noise
+    tangent = tangent_at(at.coordinates, problem, observation)
+    return misfit(tangent.prediction, observation).like_noise
 
 
 def likeliest(

@@ -5,7 +5,8 @@ rows have a scale and a shift of their own. The first guesses are that both show
 and that the target is a crop of it. From the best, the four numbers are improved by Gauss-Newton
 steps on a few thousand pixels, with the parameters' own steps projected out. A map that is a shift
 by whole pixels, to within its error, is taken as that: the mask is then cropped and not
-interpolated.
+interpolated. A mask that was enlarged from the target's size is taken as it was before that, where
+this explains no less: interpolated twice, its edges would be grey.
 
 The light is in the target's frame. Beyond the target's edge the mask's edge there is repeated,
 which is exact for a light on the picture: its rays do not leave the frame.
@@ -25,6 +26,7 @@ from godfit.inference.problem import SEARCH_PIXELS, Problem
 from godfit.inference.settle import Settled, settle
 from godfit.inference.solver import Tangent
 from godfit.inference.strategy import Report, stages, starting_points
+from godfit.io.image import LEVELS
 from godfit.search import multigrid
 
 NEAR, NEAR_ASPECT = 0.02, 0.01
@@ -42,6 +44,8 @@ LEAST_STEP = 1e-3
 SHARED, NEARLY_ALL, MOST_VALUES = 0.005, 0.9, 8
 """Share of a mask's pixels that have one value for it to be a colour; the share of all colours; and
 their number, at most: a clear colour, a light, and a few objects."""
+SAME_BYTE = 1e-3
+"""Levels within which values are whole: those of bytes that float32 holds."""
 WHOLE = 0.05
 """Pixels within which a map is taken as a shift by whole pixels, where that explains no less."""
 
@@ -154,17 +158,20 @@ def registered(
     ends = [solver.solve(guesses[0].corners(size), begun[0])]
     ends += [solver.solve(guess.corners(size), z) for guess, z in crops[:1]]
     corners, settled, slopes, errors = max(ends, key=lambda end: end[1].log_likelihood)
-    found, sharp = Map.of(corners, size), None
+    found = Map.of(corners, size)
     whole = Map(np.ones(2), np.round(found.shift))
-    exact: list[tuple[Map, np.ndarray | None]] = []
+    best = found.applied(solver.mask, size)
+    before = reduced(solver.mask, size)
     if solver.values is not None:
-        exact.append((guesses[0], solver.values))
+        blurred = [guesses[0].applied(solver.mask, size), *before]
+        before += [snapped(moved, solver.values) for moved in blurred]
+    exact = [(guesses[0], moved) for moved in before]
     if np.abs(whole.corners(size) - corners).max() < WHOLE:
-        exact.append((whole, None))
-    for near, values in exact:
-        other = solver.at(near.corners(size), settled.coordinates, values)[0]
+        exact.append((whole, whole.applied(solver.mask, size)))
+    for near, moved in exact:
+        other = solver.under(moved, settled.coordinates)[0]
         if other.log_likelihood >= settled.log_likelihood - 1:
-            found, sharp, settled, errors = near, values, other, np.zeros((0, 4))
+            found, best, settled, errors = near, moved, other, np.zeros((0, 4))
     shifts = tuple(slopes @ error for error in errors)
     down, right = found.shift
     words = (
@@ -173,7 +180,7 @@ def registered(
         f"levels against {begun[0].sigma:.2g} before)"
     )
     return Registered(
-        picture.with_mask(snapped(found.applied(solver.mask, size), sharp)),
+        picture.with_mask(best),
         Remark(words, "register"),
         shifts,
     )
@@ -189,13 +196,35 @@ def few_values(mask: np.ndarray) -> np.ndarray | None:
     return values[shared]
 
 
-def snapped(mask: np.ndarray, values: np.ndarray | None) -> np.ndarray:
+def snapped(mask: np.ndarray, values: np.ndarray) -> np.ndarray:
     """The ``mask`` with each value replaced by the nearest of ``values``: as it was before a resize
     made its edges grey."""
-    if values is None:
-        return mask
     middles = (values[1:] + values[:-1]) / 2
     return values[np.searchsorted(middles, mask)].astype(np.float32)
+
+
+def reduced(mask: np.ndarray, size: tuple[int, int]) -> list[np.ndarray]:
+    """The ``mask`` (H, W, ...) as it was at ``size`` (h, w), if it was enlarged from that by
+    nearest neighbour, and if it was so by bilinear interpolation. Empty where it is not larger.
+
+    Interpolation between h values at H > h places has one solution by least squares. It is stable:
+    from either edge to the middle, each value has more than half of the weight at some place.
+    """
+    sides = mask.shape[:2]
+    if sides == size or any(side < n for side, n in zip(sides, size, strict=True)):
+        return []
+    nearest, linear = mask, mask.astype(np.float64)
+    for axis, (side, n) in enumerate(zip(sides, size, strict=True)):
+        chosen = np.floor((np.arange(n) + 0.5) * side / n).astype(int)
+        nearest = np.take(nearest, chosen, axis)
+        places = ((np.arange(side) + 0.5) * n / side - 0.5).clip(0, n - 1)
+        weights = np.maximum(1 - np.abs(places[:, None] - np.arange(n)), 0)
+        undone = np.linalg.pinv(weights)
+        linear = np.moveaxis(np.tensordot(undone, linear, (1, axis)), 0, axis)
+    linear = linear.clip(0, 1)
+    if np.abs(mask * LEVELS - np.round(mask * LEVELS)).max() < SAME_BYTE:
+        linear = np.round(linear * LEVELS) / LEVELS
+    return [nearest, linear.astype(np.float32)]
 
 
 class _Solver:
@@ -208,9 +237,9 @@ class _Solver:
         self.size, self.values = problem.picture.size, few_values(self.mask)
         self.observation = problem.observe(SEARCH_PIXELS)
 
-    def posed(self, corners: np.ndarray, values: np.ndarray | None = None) -> Problem:
-        """The problem under the mask mapped so, and snapped to ``values``."""
-        moved = snapped(Map.of(corners, self.size).applied(self.mask, self.size), values)
+    def posed(self, corners: np.ndarray) -> Problem:
+        """The problem under the mask mapped so."""
+        moved = Map.of(corners, self.size).applied(self.mask, self.size)
         return self.problem.replaced(picture=self.problem.picture.with_mask(moved))
 
     def begin(self, guess: Map, given: dict[str, float]) -> Settled:
@@ -227,11 +256,13 @@ class _Solver:
     def _view(self, problem: Problem):
         return self.observation.with_mask(problem.picture.mask)
 
-    def at(
-        self, corners: np.ndarray, start: np.ndarray, values: np.ndarray | None = None
-    ) -> tuple[Settled, Tangent, Problem]:
+    def at(self, corners: np.ndarray, start: np.ndarray) -> tuple[Settled, Tangent, Problem]:
         """Where the parameters settle under a map, with the tangent there."""
-        problem = self.posed(corners, values)
+        return self.under(Map.of(corners, self.size).applied(self.mask, self.size), start)
+
+    def under(self, moved: np.ndarray, start: np.ndarray) -> tuple[Settled, Tangent, Problem]:
+        """The same under a mask of the target's size."""
+        problem = self.problem.replaced(picture=self.problem.picture.with_mask(moved))
         settled, tangent = settle(start, problem, self._view(problem))
         return settled, tangent, problem
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 import godfit
 from godfit.errors import InputError
@@ -29,6 +30,34 @@ def test_a_mask_of_few_colours_is_one_again_after_a_resize():
     np.testing.assert_array_equal(values, [0, 1])
     assert set(np.unique(registration.snapped(grey, values))) == {0, 1}
     assert registration.few_values(np.random.default_rng(2).random((40, 40))) is None
+
+
+@pytest.mark.parametrize("colours", [(), (3,)])
+def test_a_mask_is_as_it_was_before_it_was_enlarged(colours):
+    size, larger = (64, 48), (65, 49)
+    before = np.random.default_rng(3).integers(0, 256, (*size, *colours)).astype(np.float32) / 255
+
+    def enlarged(order):
+        """As image libraries do it: pixel centres at i + 1/2, the edge repeated, bytes."""
+        scale = [n / side for n, side in zip(size, larger, strict=True)]
+        channels = before.reshape(*size, -1)
+        out = [
+            ndimage.affine_transform(
+                channels[..., c], scale, [s / 2 - 0.5 for s in scale], larger, order=order,
+                mode="nearest",
+            )
+            for c in range(channels.shape[-1])
+        ]  # fmt: skip
+        return (np.round(np.stack(out, -1) * 255) / 255).reshape(*larger, *colours)
+
+    nearest, _ = registration.reduced(enlarged(0), size)
+    np.testing.assert_allclose(nearest, before, atol=1e-6)
+    _, linear = registration.reduced(enlarged(1), size)
+    # Near the middle, where a place takes half of two values, rounding counts several times.
+    error = np.abs(linear - before) * 255
+    assert np.sqrt((error**2).mean()) < 1
+    assert error.max() < 10
+    assert registration.reduced(before, size) == registration.reduced(before, larger) == []
 
 
 @pytest.mark.usefixtures("single_precision")
