@@ -301,11 +301,9 @@ def _fit_pair(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     them, then the fit with that mask, in turn."""
     settings = request.settings
     shading = mitchell_template(settings.get("shader", "mitchell"), settings.get("samples"), 1)
-    if shading.convention.box:
-        raise InputError(
-            f"shader: expected a sum along rays with two screenshots, got '{shading.shader}', "
-            "whose passes are boxes; give --mask as well"
-        )
+    if len(shading.taps) > 1:
+        return _fit_scene(request)
+    _check_pair(request)
     target = _target_of(request)
     scene = read_source(request.background, request.transfer, "background")
     check_size(scene, target)
@@ -338,6 +336,42 @@ def _fit_pair(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     notes = _pair_notes(request, light.blend)
     stripped = {role: dataclasses.replace(im, values=NO_VALUES) for role, im in images.items()}
     return settled, notes, stripped
+
+
+def _check_pair(request: Request) -> None:
+    """Raise InputError for options that have no use before the mask is known."""
+    given = {
+        "fix": request.fix, "start": request.start, "pass scale": request.pass_scale,
+        "flip": request.flip, "arithmetic": request.arithmetic,
+        "lights": request.lights if request.lights > 1 else None,
+    }  # fmt: skip
+    for name, value in given.items():
+        if value is not None and value != {}:
+            raise InputError(
+                f"{name}: expected none with two screenshots without a mask, got {value!r}; fit "
+                "without it, then give the mask.png of that fit as --mask with it"
+            )
+
+
+def _fit_scene(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image]]:
+    """The light of two screenshots whose sum is of several passes, for which no mask is solved: by
+    a mask of what is not dark in the ordinary pass."""
+    target = _target_of(request)
+    scene = turned(read_source(request.background, request.transfer, "background"), request.flip)
+    check_size(scene, target)
+    start = dict(request.start or {})
+    if request.light_near is not None:
+        start = {"light_x": request.light_near[0], "light_y": request.light_near[1]} | start
+    mask = pair_scene.not_dark(scene)
+    masked = dataclasses.replace(request, mask=mask, start=start, light_near=None)
+    found, notes, images = found_for(masked)
+    images.pop("mask")
+    objection = pair_fit.SCENE_MASK
+    opened = pair_fit.all_open(found.problem)
+    found = found.replaced(
+        opened=opened, objection=objection, mask_estimated=True, remarks=(), inquire=False
+    )
+    return found, (*notes, pair_fit.SCENE_NOTE), images
 
 
 def _reread(image: Image, source: Source, transfer: str) -> Image:

@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from godfit.blind.pair_mask import labelled_mask
 from godfit.blind.two_screenshots import Pair
+from godfit.errors import Remark
 from godfit.inference.fitted import Found
 from godfit.inference.information import evidence
 from godfit.inference.noise import best_sigma
@@ -31,6 +32,17 @@ EXPLAINED = (
     "check mask.png, correct it, and give it as --mask with --background for numbers with errors"
 )
 """What holds of the numbers where the mask explains the pair."""
+SCENE_MASK = (
+    "the mask is a guess, open where the ordinary pass is not dark: the light is as good as that, "
+    "and errors are not known; check mask.png, correct it, and give it as --mask with --background"
+)
+"""What holds of the numbers where the mask is that of the scene's darkness."""
+SCENE_NOTE = Remark(
+    "mask: no mask is solved for a shader whose sum is of several passes: it is open where "
+    "the ordinary pass is not dark",
+    "mask",
+)
+"""A note on that mask."""
 NEXT = (
     "light and numbers are those of a search along rays, without errors: correct mask.png and give "
     "it as --mask, take the pair at a lower exposure, or give --light-near U,V"
@@ -96,11 +108,11 @@ def _refined(turned: Turned) -> Found:
     # real frame the light was ten such errors off.
     return Found(
         problem, observation, settled, evidence(settled, tangent, observation),
-        opened=_all_open(problem), inquire=False, objection=EXPLAINED, mask_estimated=True,
+        opened=all_open(problem), inquire=False, objection=EXPLAINED, mask_estimated=True,
     )  # fmt: skip
 
 
-def _all_open(problem: Problem) -> tuple[tuple[int, list[int]], ...]:
+def all_open(problem: Problem) -> tuple[tuple[int, list[int]], ...]:
     """Every coordinate, each without an error."""
     return tuple((i, []) for i in range(len(problem.names)))
 
@@ -116,6 +128,6 @@ def _unrefined(pair: Pair, posed) -> Found:
     words = pair.objection or "the mask that was found does not explain the pair to the byte"
     return Found(
         problem, observation, settled, evidence(settled, tangent, observation),
-        opened=_all_open(problem),
+        opened=all_open(problem),
         inquire=False, objection=f"{words}; {NEXT}", mask_estimated=True,
     )  # fmt: skip

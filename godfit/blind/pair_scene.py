@@ -31,6 +31,10 @@ FAINTEST = 1e-3
 its logarithm nowhere below."""
 
 
+DARK = 0.5
+"""Brightness of an object against the scene's median, at most: what occludes is black there."""
+
+
 class Scene(NamedTuple):
     """Two screenshots, the effect ``on`` and ``off``, and ``valid`` (h, w) or None."""
 
@@ -57,14 +61,22 @@ def scene_hypotheses(light: LightPass, scene: Scene, shader: Convention) -> list
     ]
     usable = on.valid & ~clipped
     # The light pass has no steps of the ground, and no light is more than it.
+    if np.count_nonzero(usable) < LEAST_USABLE:
+        return []
     return [
         h._replace(
             values=values, usable=usable, bounded=on.valid & clipped, ceiling=values + LEVELS,
             steps=(),
         )
         for h in made
-        if h is not None and np.count_nonzero(usable) >= LEAST_USABLE
+        if h is not None
     ]  # fmt: skip
+
+
+def not_dark(off: Image) -> np.ndarray:
+    """(h, w) the mask, 1 where an ordinary pass is not dark against its median, else 0."""
+    brightness = np.atleast_3d(off.encoded).mean(-1)
+    return (brightness > DARK * np.median(brightness)).astype(np.float32)
 
 
 def _copy(image: Image, valid: np.ndarray, shader: Convention) -> Reduced:
@@ -79,10 +91,23 @@ def scene_places(
     near: tuple[float, float] | None,
     seed: int = 0,
 ) -> list[Searched]:
-    """The best place under each hypothesis, best first."""
+    """The best place under each hypothesis, best first.
+
+    Each is searched for once more about the best place of all: most of the picture is flat in the
+    cost of a steep ray, and a hypothesis that is right may never come near its light.
+    """
     tried = scene_hypotheses(light, scene, shader)
+    if not tried:
+        return []
     found = parallel_map(lambda h: searched(h, near, seed), tried)
-    return sorted(found, key=lambda place: place.cost)
+    best = min(found, key=_cost).place
+    if near is None:
+        found += parallel_map(lambda h: searched(h, best, seed), tried)
+    return sorted(found, key=_cost)
+
+
+def _cost(place: Searched) -> float:
+    return place.cost
 
 
 def along_rays(place: Searched, own: float, seed: int = 0) -> Candidate:
