@@ -363,7 +363,7 @@ def _fit_scene(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Imag
     if request.light_near is not None:
         start = {"light_x": request.light_near[0], "light_y": request.light_near[1]} | start
     mask = pair_scene.not_dark(scene)
-    masked = dataclasses.replace(request, mask=mask, start=start, light_near=None)
+    masked = dataclasses.replace(request, mask=mask, start=start, light_near=None, inquire=False)
     found, notes, images = found_for(masked)
     images.pop("mask")
     objection = pair_fit.SCENE_MASK

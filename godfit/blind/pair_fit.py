@@ -44,8 +44,8 @@ SCENE_NOTE = Remark(
 )
 """A note on that mask."""
 NEXT = (
-    "light and numbers are those of a search along rays, without errors: correct mask.png and give "
-    "it as --mask, take the pair at a lower exposure, or give --light-near U,V"
+    "light and numbers are those of a search, without errors: correct mask.png and give it as "
+    "--mask, take the pair at a lower exposure, or give --light-near U,V"
 )
 """What to do where the mask does not explain the pair."""
 

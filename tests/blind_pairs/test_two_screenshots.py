@@ -121,9 +121,8 @@ def test_passes_that_are_no_rays_give_the_light_alone():
     off, *_ = objects_and_light(54, 96)
     mask = pair_scene.not_dark(read_source(off, "none"))
     assert 0.02 < (mask == 0).mean() < 0.4
-    truth = {"exposure": 0.4, "light_x": 0.42, "light_y": 0.7}
-    light = godfit.render(mask, **truth, shader="three")
-    on = bytes_of(off / 255 + light)
+    model = godfit.Mitchell(0.4, 1.0, 1.0, 1.0, [[0.42, 0.7]], "three")
+    on = bytes_of(off / 255 + np.asarray(model(mask)))
     result = godfit.fit(on, background=off, shader="three")
     assert result.params["light_x"].value == pytest.approx(0.42, abs=0.005)
     assert result.params["light_y"].value == pytest.approx(0.7, abs=0.005)
