@@ -14,7 +14,7 @@ import numpy as np
 # Importing these registers the searches of each model.
 import godfit.flatland.starts
 import godfit.search  # noqa: F401
-from godfit.blind import bare_fit, light_pass, pair_fit, two_screenshots
+from godfit.blind import bare_fit, light_pass, pair_fit, pair_scene, two_screenshots
 from godfit.errors import InputError, Remark
 from godfit.flatland.canvas import Canvas
 from godfit.flatland.fit_setup import prepare_fit
@@ -301,43 +301,77 @@ def _fit_pair(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     them, then the fit with that mask, in turn."""
     settings = request.settings
     shading = mitchell_template(settings.get("shader", "mitchell"), settings.get("samples"), 1)
-    if shading.convention.box:
-        raise InputError(
-            f"shader: expected a sum along rays with two screenshots, got '{shading.shader}', "
-            "whose passes are boxes; give --mask as well"
-        )
+    if len(shading.taps) > 1:
+        return _fit_scene(request)
+    _check_pair(request)
     target = _target_of(request)
     scene = read_source(request.background, request.transfer, "background")
     check_size(scene, target)
     encodings = light_pass.encodings_of(request.transfer, shading.convention)
     light = light_pass.light_pass(target, scene, shading.convention, encodings, request.valid)
     request.report("light pass of the two screenshots")
-    found = two_screenshots.found_in(light, shading, request.valid, request.light_near)
+    seen = pair_scene.Scene(target, scene, request.valid)
+    pairs = two_screenshots.found_in(light, seen, shading, request.light_near)
     images = {
         "target": _reread(target, request.target, light.blend.transfer),
         "background": _reread(scene, request.background, light.blend.scene),
     }
     size = target.values.shape[:2]
     shown = np.ones(size, bool) if request.valid is None else request.valid
-    factor = found.texels.factor
 
-    def posed(mask: np.ndarray, usable: np.ndarray) -> Problem:
+    def posed(pair: two_screenshots.Pair, mask: np.ndarray, usable: np.ndarray) -> Problem:
+        factor, model = pair.texels.factor, pair.model
         values = mask if mask.shape[-1] == 3 else mask[..., 0]
         image = Image(values.astype(np.float32), None, "none", "", "")
         pixels = np.kron(usable, np.ones((factor, factor), bool)) & shown
         picture = checked_picture(
             images["target"], image, images["background"], pixels, 1.0, request.channels or 1
         )
-        held = np.full(len(found.model.parameters), np.nan, np.float32)
-        if not found.model.convention.own_pixel:
-            at = list(found.model.parameters).index("exposure")
-            held[at] = float(found.model.exposure)
-        return Problem(found.model, picture, np.isnan(held), held, request.seed)
+        held = np.full(len(model.parameters), np.nan, np.float32)
+        if not model.convention.own_pixel:
+            held[list(model.parameters).index("exposure")] = float(model.exposure)
+        return Problem(model, picture, np.isnan(held), held, request.seed)
 
-    settled = pair_fit.alternate(found, posed, request.report)
+    settled = pair_fit.alternate(pairs, posed, request.report)
     notes = _pair_notes(request, light.blend)
     stripped = {role: dataclasses.replace(im, values=NO_VALUES) for role, im in images.items()}
     return settled, notes, stripped
+
+
+def _check_pair(request: Request) -> None:
+    """Raise InputError for options that have no use before the mask is known."""
+    given = {
+        "fix": request.fix, "start": request.start, "pass scale": request.pass_scale,
+        "flip": request.flip, "arithmetic": request.arithmetic,
+        "lights": request.lights if request.lights > 1 else None,
+    }  # fmt: skip
+    for name, value in given.items():
+        if value is not None and value != {}:
+            raise InputError(
+                f"{name}: expected none with two screenshots without a mask, got {value!r}; fit "
+                "without it, then give the mask.png of that fit as --mask with it"
+            )
+
+
+def _fit_scene(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image]]:
+    """The light of two screenshots whose sum is of several passes, for which no mask is solved: by
+    a mask of what is not dark in the ordinary pass."""
+    target = _target_of(request)
+    scene = turned(read_source(request.background, request.transfer, "background"), request.flip)
+    check_size(scene, target)
+    start = dict(request.start or {})
+    if request.light_near is not None:
+        start = {"light_x": request.light_near[0], "light_y": request.light_near[1]} | start
+    mask = pair_scene.not_dark(scene)
+    masked = dataclasses.replace(request, mask=mask, start=start, light_near=None, inquire=False)
+    found, notes, images = found_for(masked)
+    images.pop("mask")
+    objection = pair_fit.SCENE_MASK
+    opened = pair_fit.all_open(found.problem)
+    found = found.replaced(
+        opened=opened, objection=objection, mask_estimated=True, remarks=(), inquire=False
+    )
+    return found, (*notes, pair_fit.SCENE_NOTE), images
 
 
 def _reread(image: Image, source: Source, transfer: str) -> Image:

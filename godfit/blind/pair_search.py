@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -67,6 +68,11 @@ class Ranges(NamedTuple):
         lower[6] = np.log(max(image.max(), 1.0))
         free[4] = own_pixel
         return Ranges(lower / SCALES, upper / SCALES, free)
+
+    @property
+    def middle_own(self) -> float:
+        """The own pixel's weight in the middle of its range."""
+        return float(np.sqrt(self.lower[4] * self.upper[4]) * SCALES[4])
 
     def holding(self, index: int) -> Ranges:
         """The same with one more number that stays."""
@@ -141,7 +147,7 @@ def first_places(misfit: RayMisfit, lights: np.ndarray, ranges: Ranges) -> list[
     """The best of a few numbers at each of ``lights`` (n, 2), best first."""
     dim = float(np.median(misfit.image[misfit.known > 0]))
     bright = float(FIRST_BRIGHT * np.exp(ranges.lower[6] * SCALES[6]))
-    own = float(np.sqrt(ranges.lower[4] * ranges.upper[4]) * SCALES[4])
+    own = ranges.middle_own
 
     def best(light: np.ndarray) -> Place:
         x, places = np.empty((misfit.rays, len(misfit.radii))), []
@@ -188,9 +194,16 @@ def squeezed(misfit: RayMisfit, start: Candidate, ranges: Ranges, steps: int) ->
     return best
 
 
-def search(copy: View, texels: View, ranges: Ranges, near: tuple[float, float] | None):
+def search(
+    copy: View,
+    texels: View,
+    ranges: Ranges,
+    near: tuple[float, float] | None,
+    begun: Sequence[Candidate] = (),
+) -> list[Place]:
     """Places, best first: those of a small ``copy`` of the light pass, solved for on finer and
-    finer rays, at last on its ``texels``. With ``near`` (u, v) lights about there alone."""
+    finer rays, at last on its ``texels``. With ``near`` (u, v) lights about there alone. Places
+    that are known to be good are ``begun`` from on the finest rays too."""
     (h, w), aspect = copy.image.shape, copy.image.shape[0] / copy.image.shape[1]
     coarse, middle = RayMisfit(*copy, *COARSE), RayMisfit(*copy)
     fine = RayMisfit(*texels, *FINE)
@@ -207,6 +220,7 @@ def search(copy: View, texels: View, ranges: Ranges, near: tuple[float, float] |
     found = parallel_map(ended(coarse, 3.0, 5), starts)
     found = apart(sorted(found, key=_cost), KEPT, aspect)
     found = parallel_map(ended(middle, 1.6, 5), found)
+    found += [Place(at, 0.0) for at in begun]
     return sorted(parallel_map(ended(fine, 1.3, 6), found), key=_cost)
 
 

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
 from godfit.blind.light_pass import LightPass
 from godfit.blind.pair_mask import TexelLight, mask_under, texels_of
-from godfit.blind.pair_search import Place, Ranges, search
-from godfit.blind.rays import View
+from godfit.blind.pair_scene import Scene, along_rays, scene_places
+from godfit.blind.pair_search import Ranges, search
+from godfit.blind.rays import Candidate, View
 from godfit.errors import InputError
 from godfit.io.filters import shrink
 from godfit.io.image import LEVELS
@@ -29,6 +31,12 @@ FEWEST_KNOWN = 0.1
 UNEXPLAINED = 2.0
 """Misfit along rays, in levels squared, from which no light explains the light pass: the true one
 leaves less than a tenth of that."""
+EXPLAINS = -0.3
+"""Cost for each pair of pixels below which the scene's objects explain the light pass."""
+NOT_ONE_LIGHT = (
+    "no single light explains what the two screenshots differ by: another tone curve, several "
+    "lights or a camera that moved"
+)
 PLAIN_WEIGHT = 1.0
 """Weight of a shader without the pixel's own value: only its product with exposure has an
 effect."""
@@ -36,13 +44,14 @@ effect."""
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Pair:
-    """What two screenshots give: the shader's ``model`` at the best place, the ``mask`` (h, w, c)
-    under it, the light pass in ``texels``, and the ``objection`` why that is wrong, or empty."""
+    """What two screenshots give at one place of the light: the shader's ``model`` there, the
+    ``mask`` (h, w, c) under it, the light pass in ``texels``, the place ``at``, and the
+    ``objection`` why that is wrong, or empty."""
 
     model: Mitchell
     mask: np.ndarray
     texels: TexelLight
-    places: list[Place]
+    at: Candidate
     objection: str
 
 
@@ -77,27 +86,29 @@ def check_light(light: LightPass) -> None:
 
 
 def found_in(
-    light: LightPass,
-    shading: Mitchell,
-    valid: np.ndarray | None,
-    near: tuple[float, float] | None,
-) -> Pair:
-    """Light, numbers and mask of a light pass, as far as it gives them."""
+    light: LightPass, scene: Scene, shading: Mitchell, near: tuple[float, float] | None
+) -> Iterator[Pair]:
+    """Light, numbers and mask of a light pass, as far as it gives them: first by what the ``scene``
+    shows of its objects, then by a search along rays, for which nothing but the light pass counts.
+    """
     check_light(light)
+    texels, copy, fine = views(light, scene.valid)
+    ranges = Ranges.of(copy.image, int(shading.samples), shading.convention.own_pixel)
+    seen = scene_places(light, scene, shading.convention, near)
+    begun = [along_rays(place, ranges.middle_own) for place in seen if place.cost < EXPLAINS]
+    if begun:
+        yield _at(begun[0], "", texels, shading)
+    places = search(copy, fine, ranges, near, begun)
+    objection = "" if places[0].cost < UNEXPLAINED else NOT_ONE_LIGHT
+    yield _at(places[0].at, objection, texels, shading)
+
+
+def _at(at: Candidate, objection: str, texels: TexelLight, shading: Mitchell) -> Pair:
+    """The shader's parameters and the mask at a place."""
     shader, samples = shading.convention, int(shading.samples)
-    texels, copy, fine = views(light, valid)
-    ranges = Ranges.of(copy.image, samples, shader.own_pixel)
-    places = search(copy, fine, ranges, near)
-    at = places[0].at
     total = (1 - math.exp(-at.kappa)) / at.kappa + at.own
     product = at.bright / (LEVELS * shader.gain * samples * total)
     weight = 1 / (at.own * samples) if at.own > 0 else PLAIN_WEIGHT
     decay = math.exp(-at.kappa / samples)
     model = Mitchell(product / weight, decay, at.rho, weight, [[at.u, at.v]], shader.name, samples)
-    objection = ""
-    if places[0].cost > UNEXPLAINED:
-        objection = (
-            "no single light explains what the two screenshots differ by: another tone curve, "
-            "several lights or a camera that moved"
-        )
-    return Pair(model, mask_under(texels, model, at), texels, places, objection)
+    return Pair(model, mask_under(texels, model, at), texels, at, objection)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import godfit
-from godfit.blind import two_screenshots
+from godfit.blind import pair_scene, two_screenshots
 from godfit.blind.light_pass import ENCODINGS, light_pass
 from godfit.blind.pair_search import Place
 from godfit.blind.rays import Candidate
 from godfit.errors import InputError
 from godfit.io.sources import read_source
-from godfit.scattering.taps import convention
+from godfit.scattering.conventions import convention
 from tests.support import random_targets
 
 
@@ -66,8 +66,69 @@ def test_pictures_that_differ_in_nothing_are_refused():
         godfit.fit(off, background=off.copy(), shader="mitchell")
     with pytest.raises(InputError, match=r"background: expected the target's 60x40"):
         godfit.fit(off, background=off[:20], shader="mitchell")
-    with pytest.raises(InputError, match="passes are boxes"):
-        godfit.fit(off, background=off // 2, shader="three")
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("fix", {"density": 0.5}), ("start", {"density": 0.5}), ("pass_scale", 0.5), ("lights", 2),
+     ("flip", "vertical"), ("arithmetic", "gpu")],
+)  # fmt: skip
+def test_options_that_need_a_mask_are_refused(option, value):
+    off = bytes_of(scene())
+    with pytest.raises(InputError, match=f"{option.replace('_', ' ')}: expected none with two"):
+        godfit.fit(off, background=off // 2, shader="dawntime", **{option: value})
+
+
+def objects_and_light(h=108, w=192):
+    """An ordinary pass with dark objects, the light pass of an open ground with a disc behind them,
+    in units of white, and what made it."""
+    rows, columns = np.mgrid[:h, :w]
+    x, y = (columns + 0.5) / w, (h - rows - 0.5) / h
+    objects = np.zeros((h, w), bool)
+    for left, top in ((20, 30), (60, 62), (110, 20), (140, 70), (88, 40)):
+        objects[top : top + 18, left : left + 14] = True
+    mask = np.where(np.hypot(x - 0.4, (y - 0.6) * h / w) < 0.04, 1.0, 0.1) * ~objects
+    truth = {
+        "exposure": 0.05, "decay": 0.97, "density": 0.8, "weight": 0.6, "samples": 80,
+        "light_x": 0.4, "light_y": 0.6,
+    }  # fmt: skip
+    off = np.where(objects, 0.02, 0.2) + np.random.default_rng(3).uniform(0, 0.02, (h, w))
+    return bytes_of(off), random_targets.render64(mask, truth), truth
+
+
+def test_the_objects_of_the_ordinary_pass_tell_light_and_density():
+    off, light, truth = objects_and_light()
+    images = [read_source(im, "none") for im in (bytes_of(off / 255 + light), off)]
+    shader = convention("dawntime")
+    found = pair_scene.scene_places(
+        light_pass(*images, shader, ENCODINGS[:1], None),
+        pair_scene.Scene(*images, None),
+        shader,
+        None,
+    )
+    at = pair_scene.along_rays(found[0], 1 / (0.6 * 80))
+    assert (at.u, at.v) == pytest.approx((0.4, 0.6), abs=0.005)
+    assert at.rho == pytest.approx(0.8, abs=0.05)
+    assert at.kappa == pytest.approx(-80 * math.log(truth["decay"]), rel=0.15)
+    kappa, own = -80 * math.log(0.97), 1 / (0.6 * 80)
+    white = 255 * 0.05 * 0.6 * 80 * ((1 - math.exp(-kappa)) / kappa + own)
+    assert at.bright == pytest.approx(white, rel=0.3)
+    assert at.dim == pytest.approx(0.1 * white, rel=0.3)
+
+
+def test_passes_that_are_no_rays_give_the_light_alone():
+    """The sum of several passes: the mask is what is not dark, and the numbers have no errors."""
+    off, *_ = objects_and_light(54, 96)
+    mask = pair_scene.not_dark(read_source(off, "none"))
+    assert 0.02 < (mask == 0).mean() < 0.4
+    model = godfit.Mitchell(0.4, 1.0, 1.0, 1.0, [[0.42, 0.7]], "three")
+    on = bytes_of(off / 255 + np.asarray(model(mask)))
+    result = godfit.fit(on, background=off, shader="three")
+    assert result.params["light_x"].value == pytest.approx(0.42, abs=0.005)
+    assert result.params["light_y"].value == pytest.approx(0.7, abs=0.005)
+    assert not result.converged
+    assert all(estimate.stderr is None for estimate in result.params.values())
+    assert "not dark" in result.message
 
 
 def test_mask_and_numbers_in_turn(tmp_path, monkeypatch):
