@@ -97,7 +97,7 @@ def test_side_file_agrees_with_the_manifest(name):
         k: truth[k] for k in ("mask", "background") if k in truth
     }
     lights = sum(key.startswith("light") for key in truth["params"]) // 2
-    scattering = {"shader": truth["shader"], "samples": truth["samples"]}
+    scattering = {"shader": truth["shader"], "samples": truth["samples"], "arithmetic": "exact"}
     assert beside["scattering"] == scattering | ({"lights": lights} if lights > 1 else {})
 
 
@@ -138,6 +138,7 @@ def test_scene_side_file_agrees_with_the_manifest(name):
         "scene": str(FOLDER / truth["scene"]),
         "shader": truth["shader"],
         "samples": truth["samples"],
+        "arithmetic": "exact",
     }
 
 

@@ -48,7 +48,10 @@ def _checked_curve(
     from godfit.io.transfer import checked_transfer
 
     if transfer is not None and transfer not in ("none", "srgb"):
-        checked_transfer(transfer)
+        try:
+            checked_transfer(transfer)
+        except InputError as error:
+            raise click.BadParameter(str(error)) from None
     return transfer
 
 

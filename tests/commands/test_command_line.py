@@ -264,7 +264,6 @@ def test_compare_needs_a_mask(disc, capsys):
     [
         (["--model", "hoffman-preetham"], "expected --mask or --scene"),
         (["--background", "SMALL"], "background: expected the target's 256x256 pixels, got 16x16"),
-        (["--shader", "three"], "expected one with the shader 'three'"),
         (["--occluder", "SMALL"], "expected the target's 256x256 pixels, got 16x16"),
         (["--ignore", "0,0,256,255"], "expected some open background"),
     ],
