@@ -214,7 +214,8 @@ def identified(
     if not _is_explained(found):
         composed = [shader for shader in CONVENTIONS.values() if form_of(shader) is None]
         found += [_composed(problem, given, shader, effort) for shader in composed]
-    return sorted(found, key=lambda e: -e.score)
+    # A search that met nothing finite comes last: NaN would leave the others in any order.
+    return sorted(found, key=lambda e: -e.score if math.isfinite(e.score) else math.inf)
 
 
 def _sums(
