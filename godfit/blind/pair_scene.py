@@ -49,12 +49,12 @@ def scene_hypotheses(light: LightPass, scene: Scene, shader: Convention) -> list
     size = light.size
     valid = np.ones(size, bool) if scene.valid is None else scene.valid
     on, off = (_copy(image, valid, shader) for image in (scene.on, scene.off))
-    h, w = on.valid.shape
-    occluded = np.zeros((h, w), bool)
-    values = shrink(light.values.mean(-1)[..., None].astype(np.float32), (h, w))[..., 0]
+    small = on.valid.shape[0], on.valid.shape[1]
+    occluded = np.zeros(small, bool)
+    values = shrink(light.values.mean(-1)[..., None].astype(np.float32), small)[..., 0]
     values = values.astype(float) / LEVELS
     unknown = (~light.known.all(-1) & valid)[..., None]
-    clipped = shrink(unknown.astype(np.float32), (h, w))[..., 0] > 0
+    clipped = shrink(unknown.astype(np.float32), small)[..., 0] > 0
     made = [
         hypotheses.bright(on, occluded),
         hypotheses.colour(off, occluded),

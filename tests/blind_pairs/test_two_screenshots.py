@@ -149,6 +149,7 @@ def test_mask_and_numbers_in_turn(tmp_path, monkeypatch):
     kappa, own = -80 * math.log(0.97), 1 / (0.6 * 80)
     bright = 255 * 0.05 * 0.6 * 80 * ((1 - math.exp(-kappa)) / kappa + own)
     at = Candidate(0.4, 0.6, kappa, 0.8, own, 0.06 * bright, bright, 0.05)
+    monkeypatch.setattr(two_screenshots, "scene_places", lambda *_: [])
     monkeypatch.setattr(two_screenshots, "search", lambda *_: [Place(at, 0.0)])
     result = godfit.fit(on, background=off, shader="dawntime", samples=80)
     assert result.params["light_x"].value == pytest.approx(0.4, abs=1e-3)
