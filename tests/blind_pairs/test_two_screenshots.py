@@ -164,7 +164,7 @@ def test_mask_and_numbers_in_turn(tmp_path, monkeypatch):
     assert (bright_texels & (mask > 0.5)).sum() > 0.95 * (bright_texels | (mask > 0.5)).sum()
     assert (dark & (mask == 0)).sum() > 0.9 * (dark | (mask == 0)).sum()
     result.save(tmp_path)
-    assert {p.name for p in tmp_path.iterdir()} == {"fit.json", "fit.png", "render.png", "mask.png"}
+    assert {"fit.json", "fit.png", "render.png", "mask.png"} <= {p.name for p in tmp_path.iterdir()}
 
 
 def test_a_pair_without_a_light_has_no_numbers(monkeypatch):
