@@ -115,7 +115,9 @@ for module, name in (("result", "fit_record"), ("clip", "_record")):
 # one of these comes last, and half of the cores wait for it. The first two compile different
 # functions: what both need at once is compiled twice.
 LONG = (
-    "flatland/test_fitting", "test_synthetic_fits", "models/test_staged",
+    "flatland/test_fitting", "test_synthetic_fits", "models/test_staged", "blind/test_search",
+    "test_problem", "blind_pairs/test_two_screenshots", "search/test_conventions",
+    "search/test_suspects", "report/test_live", "test_public_names", "test_convention_fits",
     "studies/test_profile_likelihood", "test_data_synthetic", "studies/test_compare",
     "runtime/test_cache", "commands/test_command_line", "commands/test_batch",
     "studies/batch/test_engine", "inference/test_indirect_inference",
@@ -127,7 +129,8 @@ LONG = (
 # Whole fits of bare pictures, photographs, light in the plane, caches and data_synthetic: files, or
 # folders of them, that ``-m "not slow"`` leaves out.
 SLOW = (
-    "blind", "flatland/test_fitting.py", "flatland/test_gradients.py", "flatland/test_published.py",
+    "blind", "blind_pairs/test_two_screenshots.py", "search/test_suspects.py",
+    "flatland/test_fitting.py", "flatland/test_gradients.py", "flatland/test_published.py",
     "runtime/test_cache.py", "runtime/test_program_cache.py", "test_data_synthetic.py",
     "test_synthetic_fits.py", "test_stability.py", "test_lmfit.py", "test_experiments.py",
     "test_problem.py",
