@@ -106,8 +106,9 @@ def without_search(monkeypatch):
     # The rasteriser takes ten seconds to compile, and has tests of its own.
     for module in (godfit.fitting, godfit.scenes.view):
         monkeypatch.setattr(module, "drawn_mask", lambda scene, *rest: np.eye(*scene.size))
-    for module in (godfit.fitting.unaided, godfit.fitting.photograph):
+    for module in (godfit.fitting.bare_fit, godfit.fitting.two_screenshots):
         monkeypatch.setattr(module, "found_in", reached)
+    monkeypatch.setattr(godfit.fitting.conventions, "identified", reached)
     monkeypatch.setattr(godfit.studies.simplify, "simplify", reached)
 
 

@@ -257,7 +257,7 @@ def test_bad_options_say_what_to_do(options, words):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("shape", [(48, 96), (SIZE * 2, SIZE * 2)])
+@pytest.mark.parametrize("shape", [(48, 96), (SIZE * 2, SIZE * 3)])
 def test_mask_of_another_shape_is_refused(shape):
     target, _ = picture(3)
     with pytest.raises(godfit.InputError, match="mask: expected"):

@@ -67,6 +67,7 @@ def _read(table: Table, stem: str) -> Convention:
         background_gain=_not_negative(table, "background_gain", 1.0),
         density_slider=_optional(table, "density_slider"),
         pass_scale=table.number("pass_scale", 1.0, 0.0, 1.0 + 1e-9),
+        half_floats=_switch(table, "half_floats", False),
         remarks=table.text("remarks") or "",
         own_scaled=_switch(table, "own_scaled", True),
         averaged=_switch(table, "averaged", False),
