@@ -11,9 +11,8 @@ MANIFEST = json.loads((FOLDER / "manifest.json").read_text())["targets"]
 TOLERANCE = {"decay": 5e-5, "density": 5e-4}
 
 
-@pytest.mark.parametrize(
-    "name", ["two_lights", "offscreen", "halfres", "background", "pmndrs", "ring"]
-)
+# Two lights and passes of half the size are in test_stability.py and test_fitting.py.
+@pytest.mark.parametrize("name", ["offscreen", "background", "pmndrs", "ring"])
 def test_truth_is_found(name, tmp_path, capsys):
     status = main(["fit", str(FOLDER / f"{name}.png"), "-o", str(tmp_path / "out"), "--json", "-q"])
     printed = capsys.readouterr()
