@@ -7,8 +7,8 @@ answers must be those of an undisturbed fit, nothing that was laid into the cach
 most one warning may come. An interrupted fit must end with 130 and one line. A full disk is a small
 file system in memory, which only root may mount. The exit status is 1 if one line fails.
 
-The first moments are the interpreter's own: before it has set its handlers a signal ends it, and
-while it loads its own modules it prints a traceback. Such moments are marked "interpreter".
+The first moment is the interpreter's own: before it has set its handlers a signal ends it. That
+moment alone may end so, and is marked "interpreter".
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ def interrupted(bench: Bench) -> Iterator[tuple[str, str]]:
         ours = any("godfit" in line for line in lines)
         if code == 0 or (code == 130 and len(lines) == 1):
             outcome = "right"
-        elif code == -signal.SIGINT and not ours:
+        elif moment == 0 and code == -signal.SIGINT and not ours:
             outcome = "interpreter"
         else:
             outcome = f"exit {code}: {' | '.join(lines)[:200]}"
