@@ -14,6 +14,9 @@ from jax.flatten_util import ravel_pytree
 
 import godfit
 from godfit.__main__ import main
+from godfit.inference.allowances.arithmetic import with_arithmetic
+from godfit.inference.likelihood import log_likelihood
+from godfit.inference.noise import noise_of
 from tests.support import scattering_oracle as oracle
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
@@ -132,3 +135,41 @@ def test_likelihood_is_differentiable_in_the_noise(problem):
 def test_an_unknown_parameter_is_named(problem):
     with pytest.raises(godfit.InputError, match="got 'densty'; did you mean 'density'"):
         problem.log_likelihood({"densty": 0.5})
+
+
+def test_priors_are_rows_and_terms(problem):
+    at = problem.start["density"]
+    known = problem.replaced(prior={"density": (at - 0.03, 0.02), "weight": (0.5, 1e9)})
+    rows = np.asarray(known.residuals(problem.start))
+    np.testing.assert_allclose(rows[:-2], problem.residuals(problem.start))
+    np.testing.assert_allclose(rows[-2:], [1.5, 0], atol=1e-6)
+    gap = problem.log_likelihood(problem.start) - known.log_likelihood(problem.start)
+    assert float(gap) == pytest.approx(1.5**2 / 2, rel=1e-4)
+    by_density = jax.grad(lambda p: problem.log_likelihood(p) - known.log_likelihood(p))
+    assert float(by_density(problem.start)["density"]) == pytest.approx(1.5 / 0.02, rel=1e-4)
+
+
+@pytest.mark.parametrize("arithmetic", ["gpu", "exact"])
+def test_the_arithmetic_of_a_gpu_is_in_the_likelihood(files, arithmetic):
+    """Against the interval likelihood with the noise of ``with_arithmetic``, value by value."""
+    target, mask = (np.load(path) for path in files)
+    stored = np.rint(255 * target.clip(0, 1)).astype(np.uint8)
+    options = {"mask": mask, "shader": "mitchell", "samples": SAMPLES, "arithmetic": arithmetic}
+    found = godfit.problem(stored, **options)
+    whole = found.picture.observe(np.arange(stored.size))
+    assert found.point is not None
+    with jax.enable_x64(False):
+        own = with_arithmetic(whole, found, found.point).own_noise
+    assert (own is None) == (arithmetic == "exact")
+    noise = noise_of(NOISE_LEVELS, None if own is None else np.asarray(own, float))
+    levels = whole.predict(found.at(found.point))
+    expected = log_likelihood(levels, whole.lo, whole.hi, noise).sum()
+    value = jax.jit(found.log_likelihood)(found.start, NOISE_LEVELS)
+    assert float(value) == pytest.approx(float(expected), rel=1e-5)
+    # Half the squares of the residuals fall by what the likelihood gains.
+    away = found.start | {"density": found.start["density"] + 0.01}
+    squares = [
+        0.5 * float((found.residuals(p, NOISE_LEVELS) ** 2).sum()) for p in (away, found.start)
+    ]
+    gain = value - found.log_likelihood(away, NOISE_LEVELS)
+    assert squares[0] - squares[1] == pytest.approx(float(gain), rel=1e-4)

@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from godfit.inference.allowances.shared_noise import shared_slopes
 from godfit.inference.likelihood import interval
-from godfit.inference.noise import noise_of
+from godfit.inference.noise import EXPLAINED, noise_of
 from godfit.inference.observation import Observation
 from godfit.inference.settle import Settled
 from godfit.inference.solver import Intervals, Tangent
@@ -49,7 +50,8 @@ class Evidence(NamedTuple):
     curvature with the rounding counted as noise, which is the information of least squares.
     ``prediction`` (m,) is in levels, ``score`` (m,) the slope of each value's log-likelihood in
     units of sigma. ``cells`` (p, p, rows, columns) is the information of least squares, in units of
-    one level of noise, that each cell of the picture holds.
+    one level of noise, that each cell of the picture holds. ``shared`` (p, p) is the covariance of
+    the slopes of different values by noise that they share, None where none is known.
     """
 
     curvature: np.ndarray
@@ -59,6 +61,7 @@ class Evidence(NamedTuple):
     prediction: np.ndarray
     score: np.ndarray
     cells: np.ndarray
+    shared: np.ndarray | None = None
 
     def within(self, ranges: np.ndarray) -> Evidence:
         """The evidence with a prior: coordinates lie within plausible ``ranges`` (p,). Some can
@@ -75,7 +78,11 @@ class Evidence(NamedTuple):
         if repeats <= 1:
             return self
         blunt = self.blunt / repeats
-        return self._replace(curvature=blunt, scores=blunt, blunt=blunt)
+        return self._replace(curvature=blunt, scores=blunt, blunt=blunt, shared=None)
+
+    def without_shared_noise(self) -> Evidence:
+        """The evidence as if all noise were of each value alone."""
+        return self if self.shared is None else self._replace(shared=np.zeros_like(self.shared))
 
     def covariance(self, free: np.ndarray) -> np.ndarray:
         """(p, p) covariance of the coordinates, zero for those that are not free.
@@ -85,6 +92,11 @@ class Evidence(NamedTuple):
         the curvature alone cover too seldom, those from the scores cover often enough. There the
         likelihood may also be flat at its top, all values inside their intervals. The information
         is never taken to be less than that of least squares.
+
+        Where the noise of each value is known, the problem is regular, and the curvature counts.
+        The scores are then a sum over the few values that happened to be pushed over the end of
+        their interval. With noise that values share, the covariance is that of a sandwich, the
+        curvature's inverse about the covariance of the slopes (White, Econometrica 50 (1982), 1).
         """
         covariance = np.zeros_like(self.curvature)
         curvature, scores, blunt = (
@@ -101,10 +113,17 @@ class Evidence(NamedTuple):
             return np.maximum(gain, 1.0), turn
 
         gain, turn = against_blunt(curvature)
-        other, other_turn = against_blunt(scores)
         whiten = turn / np.sqrt(gain)
-        share, last = np.linalg.eigh(whiten.T @ (other_turn * other) @ other_turn.T @ whiten)
-        root = root @ whiten @ last / np.sqrt(np.minimum(share, 1.0))
+        if self.shared is None:
+            other, other_turn = against_blunt(scores)
+            share, last = np.linalg.eigh(whiten.T @ (other_turn * other) @ other_turn.T @ whiten)
+            root = root @ whiten @ last / np.sqrt(np.minimum(share, 1.0))
+        else:
+            root = root @ whiten
+            shared = self.shared[np.ix_(free, free)] / np.outer(size, size)
+            growth, last = np.linalg.eigh(root.T @ shared @ root)
+            # Values whose noise cancels are not counted on.
+            root = root @ last * np.sqrt(1 + np.maximum(growth, 0.0))
         covariance[np.ix_(free, free)] = root @ root.T / np.outer(size, size)
         return covariance
 
@@ -117,14 +136,14 @@ def _evidence(prediction, jacobian, intervals, sigma, blunt_sigma):
     def pixels(noise):
         return interval((lo - prediction) / noise, (hi - prediction) / noise, foreign)
 
-    def curvature(pixel, noise):
-        return (jacobian * (pixel.curvature / noise**2)[None]) @ jacobian.T
+    def information(pull):
+        return (jacobian * pull[None]) @ jacobian.T
 
     sharp = pixels(noise)
-    score = sharp.slope / noise
+    score, pull = sharp.slope / noise, sharp.curvature / noise**2
     slopes = jacobian * score[None]
-    blunt = curvature(pixels(blunt_noise), blunt_noise)
-    return curvature(sharp, noise), slopes @ slopes.T, blunt, slopes.sum(1), score * sigma
+    blunt = information(pixels(blunt_noise).curvature / blunt_noise**2)
+    return information(pull), slopes @ slopes.T, blunt, slopes.sum(1), score * sigma, pull
 
 
 def evidence(settled: Settled, tangent: Tangent, observation: Observation) -> Evidence:
@@ -153,6 +172,11 @@ def evidence(settled: Settled, tangent: Tangent, observation: Observation) -> Ev
         gradient = gradient + tangent.prior.slope
     # Summed in scaled coordinates, where float32 holds all entries alike.
     size = np.outer(tangent.scale, tangent.scale).astype(np.float64)
+    shared = None
+    # What is less than other noise by far does not matter, and would take long for every value.
+    if observation.shared_noise is not None and sigma <= EXPLAINED:
+        pull = np.concatenate([part[5] for part in parts])
+        shared = shared_slopes(tangent.jacobian, pull, observation) / size
     return Evidence(
         curvature / size,
         scores / size,
@@ -161,6 +185,7 @@ def evidence(settled: Settled, tangent: Tangent, observation: Observation) -> Ev
         tangent.prediction,
         np.concatenate([part[4] for part in parts]),
         cell_information(tangent, observation),
+        shared,
     )
 
 

@@ -169,11 +169,11 @@ def deviance_residuals(
     prediction: Float[Array, " n"],
     lo: Float[Array, " n"],
     hi: Float[Array, " n"],
-    sigma: Float[Array, ""],
+    sigma: Float[Array, "..."],
     foreign: float = 0.0,
 ) -> Float[Array, " n"]:
     """Signed roots of the deviance: half the sum of their squares is the negative log-likelihood up
-    to a constant. Differentiable in ``prediction`` alone."""
+    to a constant. ``sigma`` is () or (n,). Differentiable in ``prediction`` alone."""
     return _residuals(prediction, lo, hi, sigma, foreign)[0]
 
 

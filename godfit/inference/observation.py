@@ -66,6 +66,9 @@ class Observation(eqx.Module):
     texels: Texels | None = None
     # Noise of each value in levels beside the common one, None without: ``allowances``.
     own_noise: Float[Array, " m"] | None = None
+    # The part of it in levels that the values of a column share (even rows of the array), and those
+    # of a row of pixels (odd ones): one draw serves them all. None without.
+    shared_noise: Float[np.ndarray, "lines m"] | None = None
 
     def predict(self, model: AbstractModel) -> Float[Array, " m"]:
         """Levels of the model's image before rounding, (pixels x channels,)."""
@@ -80,6 +83,7 @@ class Observation(eqx.Module):
     def only(self, rows: np.ndarray) -> Observation:
         """The observation of those pixels that are in ``rows``."""
         pixels = np.asarray(self.pixels)[rows]
+        values = (np.asarray(rows)[:, None] * self.channels + np.arange(self.channels)).reshape(-1)
         own = [] if self.own_noise is None else [self.own_noise]
         lo, hi, *own = (
             np.asarray(z).reshape(-1, self.channels)[rows].reshape(-1)
@@ -93,15 +97,18 @@ class Observation(eqx.Module):
             whole=False,
             texels=_texels(pixels, self.size, np.asarray(self.mask)),
             own_noise=on_device(own[0]) if own else None,
+            shared_noise=None if self.shared_noise is None else self.shared_noise[:, values],
         )
 
-    def with_noise(self, own_noise: np.ndarray | None) -> Observation:
-        """The same values with their own noise (m,) in levels, or without."""
+    def with_noise(
+        self, own_noise: np.ndarray | None, shared_noise: np.ndarray | None = None
+    ) -> Observation:
+        """The same values with their own noise (m,) in levels, of which columns and rows share
+        ``shared_noise`` (lines, m), or without."""
         if own_noise is None and self.own_noise is None:
             return self
-        return dataclasses.replace(
-            self, own_noise=None if own_noise is None else on_device(own_noise)
-        )
+        own = None if own_noise is None else on_device(own_noise)
+        return dataclasses.replace(self, own_noise=own, shared_noise=shared_noise)
 
     def with_mask(self, mask: np.ndarray) -> Observation:
         """The same pixels of the same picture under another mask, of any size."""

@@ -18,11 +18,13 @@ from godfit.errors import InputError
 from godfit.inference.allowances.prior import Prior
 from godfit.inference.evaluate import model_at
 from godfit.inference.likelihood import deviance_residuals, log_likelihood
+from godfit.inference.noise import noise_of
 from godfit.inference.observation import Observation, Picture
 from godfit.io.image import Image
 from godfit.io.sources import shrink_mask
 from godfit.models.base import AbstractModel
 from godfit.models.build import check_values
+from godfit.runtime.guest import as_guest
 
 MAX_VALUES = 1 << 21
 """Values (pixels times channels) of a fit, at most: more hardly change the errors, and their
@@ -133,28 +135,31 @@ class Problem:
         return {name: float(value) for name, value, free in moving if free}
 
     def residuals(self, params: Mapping[str, Any], noise_levels: Any = None) -> Float[Array, " m"]:
-        """(m,) signed roots of the deviance of every value, the channels of a pixel side by side:
-        half the sum of their squares is the negative log-likelihood up to a constant. Where noise
-        exceeds rounding, they are (fitted - target) / noise, nearly.
+        """(m,) signed roots of the deviance of every value, the channels of a pixel side by side,
+        and of every prior after them: half the sum of their squares is the negative log-likelihood
+        up to a constant. Where noise exceeds rounding, they are (fitted - target) / noise, nearly.
 
         ``params`` and ``noise_levels`` are those of ``log_likelihood``. Differentiable once, by the
         parameters.
         """
         at, pixels = self._at_params(params), self._precise[1]
-        sigma = self._noise(noise_levels)
-        return deviance_residuals(pixels.predict(at), pixels.lo, pixels.hi, sigma, pixels.foreign)
+        noise = noise_of(self._noise(noise_levels), pixels.own_noise)
+        values = deviance_residuals(pixels.predict(at), pixels.lo, pixels.hi, noise, pixels.foreign)
+        return jnp.concatenate([values, self._excess(at)])
 
     def log_likelihood(
         self, params: Mapping[str, Any], noise_levels: Any = None
     ) -> Float[Array, ""]:
-        """The log-likelihood of the picture, in the units of ``godfit.inference.likelihood``.
+        """The log-likelihood of the picture, in the units of ``godfit.inference.likelihood``, with
+        the logarithm of the priors' density up to a constant. The noise by a GPU's arithmetic is
+        that of ``point``.
 
         **Arguments:**
 
         - `params`: numbers by name, those of ``start`` or some of them; the others stay where the
           search left them. Raises InputError for a name that is not among the parameters.
         - `noise_levels`: the standard deviation of the noise before rounding, in 8-bit levels; by
-          default that of the search.
+          default that of the search. With a GPU's arithmetic it counts from the least one on.
 
         Differentiable by both, twice by the parameters. It has no bounds: outside them the sum is
         evaluated as it stands. JAX's own setting decides on the precision; Hessians need
@@ -163,8 +168,15 @@ class Problem:
         at, pixels = self._at_params(params), self._precise[1]
         # Infinity has no derivative by the noise.
         lo, hi = (jnp.clip(end, -BEYOND_SCALE, BEYOND_SCALE) for end in (pixels.lo, pixels.hi))
-        sigma = self._noise(noise_levels)
-        return log_likelihood(pixels.predict(at), lo, hi, sigma, pixels.foreign).sum()
+        noise = noise_of(self._noise(noise_levels), pixels.own_noise)
+        values = log_likelihood(pixels.predict(at), lo, hi, noise, pixels.foreign)
+        return values.sum() - 0.5 * jnp.square(self._excess(at)).sum()
+
+    def _excess(self, at: AbstractModel) -> Float[Array, " k"]:
+        """How far the parameters of the priors lie above their means, in standard deviations."""
+        values = at.values()
+        known = [(values[n], row) for n, row in self.prior.items() if n in values]
+        return jnp.asarray([(value - mean) / sigma for value, (mean, sigma) in known], float)
 
     def _at_params(self, params: Mapping[str, Any]) -> AbstractModel:
         """The model with parameters (not coordinates) ``params``."""
@@ -190,12 +202,21 @@ class Problem:
         if precision not in self._made:
             # A first call may come from within a program that is being traced.
             with jax.ensure_compile_time_eval():
-                pixels = self.picture.observe(pixels_used(self.picture, self.seed))
-                parts = self.at(self._known_point), pixels
+                parts = self.at(self._known_point), self._allowed_for
                 self._made[precision] = jax.tree.map(
                     lambda z: z.astype(precision) if eqx.is_inexact_array(z) else z, parts
                 )
         return self._made[precision]
+
+    @functools.cached_property
+    def _allowed_for(self) -> Observation:
+        """All pixels, with the noise that their arithmetic adds."""
+        # It differentiates a problem, and so lies above this module.
+        from godfit.inference.allowances.arithmetic import with_arithmetic
+
+        pixels = self.picture.observe(pixels_used(self.picture, self.seed))
+        with as_guest():
+            return with_arithmetic(pixels, self, self._known_point)
 
     @functools.cached_property
     def _made(self) -> dict[Any, tuple[AbstractModel, Observation]]:

@@ -1,10 +1,12 @@
 """The posterior of a fit: NUTS on the likelihood of the fitted picture.
 
-The prior is flat in the fit's coordinates inside their bounds and in the logarithm of the noise.
+The prior is flat in the fit's coordinates inside their bounds and in the logarithm of the noise,
+times the Gaussian priors of the fit.
 The model is replaced by its tangent, which is rendered once. All values of the picture count, so
 that the tangent is the only approximation. Draws are made with the No-U-Turn sampler (Hoffman &
 Gelman, JMLR 15 (2014), 1593) of blackjax, in coordinates that the fit's covariance whitens.
-Coordinates beyond a bound are mirrored at it.
+Coordinates beyond a bound are mirrored at it. Where values share noise, draws are stretched until
+their covariance is the fit's (Ribatet, Cooley & Davison, Statistica Sinica 22 (2012), 813).
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from godfit.inference.problem import pixels_used
 from godfit.inference.repeated_values import relieved
 from godfit.inference.settle import Settled
 from godfit.inference.solver import tangent_at
+from godfit.models.base import AbstractModel
 from godfit.report.result import FitResult
 from godfit.runtime.guest import as_guest
 
@@ -85,10 +88,6 @@ def posterior(
     require()
     if result.picture.foreign:
         raise InputError("posterior: expected a fit with a mask or a scene, got neither; give one")
-    if result.prior:
-        raise InputError(
-            "posterior: expected a fit without priors, got one with them; leave them out"
-        )
     if result.simulated:
         raise InputError(LIKELIHOOD_INCOMPLETE.format("posterior"))
     if not result.converged:
@@ -108,13 +107,18 @@ def _posterior(result: FitResult, draws: int, warm_up: int, seed: int) -> Poster
     observation = relieved(observation, tangent.prediction, result.noise_levels)
     at = evidence(Settled(z, result.noise_levels, 0.0, True), tangent, observation)
     moving = np.flatnonzero(free)
-    covariance = at.covariance(free)[np.ix_(moving, moving)]
-    size = np.sqrt(np.diag(covariance))
-    root = size[:, None] * np.linalg.cholesky(
-        covariance / np.outer(size, size) + COVARIANCE_JITTER * np.eye(len(moving))
-    )
+
+    def root_of(covariance: np.ndarray) -> np.ndarray:
+        block = covariance[np.ix_(moving, moving)]
+        size = np.sqrt(np.diag(block))
+        jitter = COVARIANCE_JITTER * np.eye(len(moving))
+        return size[:, None] * np.linalg.cholesky(block / np.outer(size, size) + jitter)
+
+    root = root_of(at.covariance(free))
+    # The likelihood takes noise that values share for their own.
+    alone = root_of(at.without_shared_noise().covariance(free))
     # Derivatives of the levels by whitened coordinates.
-    rows = jnp.asarray((root / scale[moving, None]).T @ tangent.jacobian[moving], jnp.float32)
+    rows = jnp.asarray((alone / scale[moving, None]).T @ tangent.jacobian[moving], jnp.float32)
     lower, upper = ((np.asarray(b) - z)[moving] for b in model.bounds())
     # The pixels of an upsampled pass share its texels.
     share = picture.independent(model)
@@ -130,12 +134,20 @@ def _posterior(result: FitResult, draws: int, warm_up: int, seed: int) -> Poster
         step = jnp.where(step < lower, 2 * lower - step, step)
         return jnp.where(step > upper, 2 * upper - step, step)
 
+    def log_prior(step):
+        """The logarithm of the priors' density, by the parameters themselves."""
+        if not result.prior:
+            return 0.0
+        values = _moved(result, z, moving, step).values()
+        excess = [(values[n] - mean) / sigma for n, (mean, sigma) in result.prior.items()]
+        return -0.5 * jnp.square(jnp.stack(excess)).sum()
+
     back = jnp.asarray(np.linalg.inv(root), jnp.float32)
     bounded = bool(np.isfinite(lower).any() or np.isfinite(upper).any())
 
     def logdensity(point):
         u = back @ inside(point[:-1]) if bounded else point[:-1]
-        return density(u, jnp.abs(unit * point[-1]))
+        return density(u, jnp.abs(unit * point[-1])) + log_prior(inside(point[:-1]))
 
     import blackjax
 
@@ -162,14 +174,16 @@ def _posterior(result: FitResult, draws: int, warm_up: int, seed: int) -> Poster
 
 def _parameters(result: FitResult, z, moving: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """(n, p) parameters at steps from ``z``, by the model itself: the map is not linear."""
-    model = result.model
 
     def values(step):
-        at = jnp.asarray(z).at[moving].add(step)
-        moved = model.moved(at, jnp.asarray(result.held))
-        return jnp.stack(list(moved.values().values()))
+        return jnp.stack(list(_moved(result, z, moving, step).values().values()))
 
     return np.asarray(jax.lax.map(values, jnp.asarray(steps, jnp.float32)), np.float64)
+
+
+def _moved(result: FitResult, z, moving: np.ndarray, step) -> AbstractModel:
+    """The model at a ``step`` (q,) from ``z`` (p,) in the ``moving`` coordinates."""
+    return result.model.moved(jnp.asarray(z).at[moving].add(step), jnp.asarray(result.held))
 
 
 def _density(prediction, rows, observation: Observation, floor: float, share: float):

@@ -5,6 +5,9 @@ interval is where twice the log-likelihood has fallen by less than 3.84, the qua
 (Wilks 1938; Venzon & Moolgavkar, Applied Statistics 37 (1988), 87). It need not be symmetric. It
 ends at the parameter's own bound where the likelihood has not fallen that far, as at decay = 1.
 
+Where values share noise, the fall is divided by what that adds to the parameter's variance
+(Rotnitzky & Jewell, Biometrika 77 (1990), 485).
+
 The likelihood is profiled on the model's tangent, rendered once. Where noise makes the interval so
 wide that the tangent may be wrong at its ends, they are corrected with the model itself.
 """
@@ -24,6 +27,7 @@ from jaxtyping import Array, Float
 
 from godfit.errors import LIKELIHOOD_INCOMPLETE, InputError
 from godfit.inference.allowances.arithmetic import with_arithmetic
+from godfit.inference.allowances.prior import PriorRows, rows_of
 from godfit.inference.information import evidence
 from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.observation import Observation
@@ -66,10 +70,6 @@ def check(result: FitResult, name: str) -> None:
     """Raise InputError for a parameter that has no interval."""
     if result.picture.foreign:
         raise InputError("profile: expected a fit with a mask or a scene, got neither; give one")
-    if result.prior:
-        raise InputError(
-            "profile: expected a fit without priors, got one with them; leave them out"
-        )
     if result.simulated:
         raise InputError(LIKELIHOOD_INCOMPLETE.format("profile"))
     if name not in result.params:
@@ -89,9 +89,9 @@ def _interval(result: FitResult, name: str) -> tuple[float, float]:
     index = list(model.parameters).index(name)
     row, best = model.parameters[name], result.params[name].value
     observation = picture.observe(pixels_used(picture, result.seed))
-    # The pixels of an upsampled pass share its texels.
-    share = picture.independent(model)
     line = _ProfileLine(result, observation, index)
+    # The pixels of an upsampled pass share its texels.
+    share = picture.independent(model) / line.growth
     low, high = (
         _end(line.on_tangent, best, way * line.stderr, bound, share, TANGENT_TRIES)
         for way, bound in ((-1, row.lower), (1, row.upper))
@@ -157,12 +157,28 @@ def _linearise(
     the parameter itself and the others are coordinates, which it leaves as they are."""
 
     def predict(y):
-        full = y * scale
-        return observation.predict(model.moved(full, jnp.asarray(held).at[index].set(full[index])))
+        return observation.predict(_on_line(y * scale, held, index, model))
 
     y = at / scale
     move = functools.partial(jax.jvp, predict, (y,))
     return jax.vmap(move, out_axes=(None, 0))((jnp.eye(y.shape[0], dtype=y.dtype),))
+
+
+def _on_line(at: Vector, held: Vector, index: int, model: AbstractModel) -> AbstractModel:
+    """The model at ``at`` (p,), whose entry ``index`` is the parameter itself."""
+    return model.moved(at, jnp.asarray(held).at[index].set(at[index]))
+
+
+@eqx.filter_jit
+def _parameters(
+    at: Vector, held: Vector, index: int, scale: Vector, model: AbstractModel
+) -> tuple[Vector, Float[Array, "p p"]]:
+    """The parameters (p,), and their derivatives (p, p) by ``at`` over ``scale``."""
+
+    def values(y):
+        return jnp.stack(list(_on_line(y * scale, held, index, model).values().values()))
+
+    return values(at / scale), jax.jacfwd(values)(at / scale)
 
 
 class _ProfileLine:
@@ -181,18 +197,31 @@ class _ProfileLine:
         scale[index] = 0.1 * abs(self.best) + 1e-3
         z[index] = self.best
         prediction, jacobian = _linearise(z, result.held, index, scale, result.model, observation)
-        self.tangent = Tangent(np.asarray(prediction), np.asarray(jacobian), scale)
+        self.held, self.scale = result.held, scale
+        rows = self._priors(z)
+        self.tangent = Tangent(np.asarray(prediction), np.asarray(jacobian), scale, rows)
         observation = with_arithmetic(observation, result.problem, at)
         self.observation = observation = relieved(
             observation, self.tangent.prediction, result.noise_levels
         )
         self.at = Settled(z, result.noise_levels, -np.inf, True)
         moving = self.others | (np.arange(len(z)) == index)
-        covariance = evidence(self.at, self.tangent, observation).covariance(moving)
+        at_best = evidence(self.at, self.tangent, observation)
+        covariance = at_best.covariance(moving)
+        alone = at_best.without_shared_noise().covariance(moving)[index, index]
+        self.growth = float(covariance[index, index] / alone) if alone > 0 else 1.0
         variance = max(float(covariance[index, index]), 1e-24)
         self.stderr = ROOT_CHI_SQUARED_95 * math.sqrt(variance)
         self.follow = np.where(self.others, covariance[:, index] / variance, 0.0)
         self.found: dict[float, Settled] = {}
+
+    def _priors(self, at: np.ndarray) -> PriorRows | None:
+        """The rows of the fit's priors at ``at`` (p,), with the parameter itself at its place."""
+        prior, model = self.problem.prior, self.problem.model
+        if not prior:
+            return None
+        values, slopes = _parameters(at, self.held, self.index, self.scale, model)
+        return rows_of(prior, self.problem.names, values, slopes)
 
     def _settled(self, value: float) -> Settled:
         """On the tangent, the best fit with the parameter at ``value``."""
@@ -205,7 +234,8 @@ class _ProfileLine:
             # In double precision: errors can be finer than float32 holds the value.
             step = np.where(self.others, start.astype(np.float64) - z, 0.0)
             step[self.index] = by
-            moved = self.tangent._replace(prediction=self.tangent.moved(step))
+            # The parameters are no straight lines over as wide a step as a prior allows.
+            moved = self.tangent.shifted(step)._replace(prior=self._priors(start))
             begun = self.at._replace(coordinates=start)
             self.found[value] = aim(begun, moved, self.problem, self.observation)[0]
         return self.found[value]

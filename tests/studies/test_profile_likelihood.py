@@ -108,6 +108,30 @@ def test_posterior_agrees_with_the_profile(noisy):
     assert np.mean(drawn.noise_levels) == pytest.approx(1, abs=0.05)
 
 
+def test_intervals_have_the_priors_of_the_fit(noisy, single_precision):
+    """A prior as precise as the picture, and an error away from it."""
+    alone = noisy.params["weight"]
+    prior = {"weight": (alone.value + alone.stderr, alone.stderr)}
+    both = fit(*picture(3, 1.0), prior=prior)
+    e = both.params["weight"]
+    assert e.stderr < 0.8 * alone.stderr
+    for name in ("weight", "exposure"):
+        e = both.params[name]
+        low, high = (
+            (end - e.value) / e.stderr for end in profile(both, name).params[name].interval
+        )
+        assert low == pytest.approx(-1.96, abs=0.15)
+        assert high == pytest.approx(1.96, abs=0.15)
+    pytest.importorskip("blackjax")
+    from godfit.studies.posterior import posterior
+
+    drawn = posterior(both, draws=2000, warm_up=200)
+    for name in ("weight", "exposure"):
+        e, draws = both.params[name], drawn.draws[:, drawn.names.index(name)]
+        assert np.mean(draws) == pytest.approx(e.value, abs=0.15 * e.stderr)
+        assert np.std(draws) == pytest.approx(e.stderr, rel=0.1)
+
+
 def test_without_blackjax_one_line_says_so(monkeypatch, noisy):
     from godfit.studies.posterior import posterior
 

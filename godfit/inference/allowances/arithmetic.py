@@ -20,6 +20,9 @@ interpolate in float32. A picture does not say which of the two drew it, but its
 fractions that are rounded push far more bytes to the next level than a walk does. The likelier of
 the two hypotheses is taken, and where neither is clearly so, the one with more noise.
 
+The likelihood takes values to be independent, but those of a column drift together. What this does
+to the errors is computed from the part of the noise that they share (``shared_noise.py``).
+
 A light pass in half floats is rounded to these before it becomes bytes. All channels share one
 drift: as many times the variance make them count as one.
 """
@@ -81,9 +84,10 @@ def with_arithmetic(
         # A light that is held, or that follows a scene, has no column of its own.
         light, slopes = _by_light(coordinates, problem.held, model, plain)
     drifts = walk_variances(plain, np.asarray(light, np.float64).reshape(-1, 2), walk)
-    variance = np.einsum("im,im->m", np.square(np.asarray(slopes)), drifts)
+    shared = np.asarray(slopes) * np.sqrt(drifts)
+    variance = np.einsum("im,im->m", shared, shared)
     if not isinstance(model, (Mitchell, AbstractShaded)):
-        return _noisy(plain, variance)
+        return _noisy(plain, variance, shared)
 
     def by_taps(texels: np.ndarray | None) -> np.ndarray:
         at = coordinates, problem.held, model, (plain, texels)
@@ -95,7 +99,7 @@ def with_arithmetic(
     if model.convention.half_floats:
         variance = variance + half_float_variance(tangent.prediction)
     fractions = variance + by_taps(None)
-    narrow, wide = _noisy(plain, variance), _noisy(plain, fractions)
+    narrow, wide = (_noisy(plain, z, shared) for z in (variance, fractions))
 
     def likelihood(noisy: Observation) -> float:
         sigma, at = best_sigma(tangent.prediction, noisy)
@@ -107,11 +111,11 @@ def with_arithmetic(
     return narrow if apart > CLEAR else wide
 
 
-def _noisy(plain: Observation, variance: np.ndarray) -> Observation:
+def _noisy(plain: Observation, variance: np.ndarray, shared: np.ndarray) -> Observation:
     """The observation with noise of ``variance`` (m,), which the channels share, beside that of its
-    prediction in single precision."""
+    prediction in single precision. Columns and rows share the part ``shared`` (lines, m) of it."""
     total = plain.channels * variance + SINGLE_PRECISION**2
-    return plain.with_noise(np.sqrt(total).astype(np.float32))
+    return plain.with_noise(np.sqrt(total).astype(np.float32), shared)
 
 
 def walk_variances(

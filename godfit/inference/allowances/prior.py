@@ -54,15 +54,23 @@ def prior_rows(
     """The rows at ``coordinates`` (p,) with ``scale`` (p,); None where no parameter of the model
     has a prior."""
     names = list(model.parameters)
+    if not any(name in names for name in prior):
+        return None
+    values, by_coordinate = parameters_at(model, coordinates, held)
+    slopes = np.asarray(by_coordinate, np.float64) * np.asarray(scale, np.float64)
+    return rows_of(prior, names, values, slopes)
+
+
+def rows_of(prior: Prior, names: list[str], values: Any, slopes: Any) -> PriorRows | None:
+    """The rows at the ``values`` (p,) of the parameters ``names``, with their ``slopes`` (p, p) by
+    coordinates over their scales; None where none of them has a prior."""
     known = [name for name in prior if name in names]
     if not known:
         return None
-    values, by_coordinate = parameters_at(model, coordinates, held)
     at = [names.index(name) for name in known]
     means, sigmas = np.array([prior[name] for name in known], np.float64).T
-    slopes = np.asarray(by_coordinate, np.float64)[at] * np.asarray(scale, np.float64)
     excess = np.asarray(values, np.float64)[at] - means
-    return PriorRows(excess / sigmas, slopes / sigmas[:, None])
+    return PriorRows(excess / sigmas, np.asarray(slopes, np.float64)[at] / sigmas[:, None])
 
 
 def checked_prior(prior: Any, model: AbstractModel, held: np.ndarray) -> Prior:

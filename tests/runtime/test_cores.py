@@ -1,0 +1,44 @@
+"""One core and two: the same fit.json, but for times and a share of the errors that is stated."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+MADE = Path(__file__).parents[2] / "data_synthetic"
+STATED = 0.01
+"""Share of a standard error by which numbers may differ: docs/how-it-works.md states it."""
+APART = {"timing_s", "command", "params", "combined", "correlations", "covariance", "where"}
+
+
+def fitted(cores, folder, name):
+    """fit.json of a target of data_synthetic, by a process that has only ``cores``."""
+    command = [sys.executable, "-m", "godfit", "fit", str(MADE / f"{name}.png"), "--json", "-q"]
+    done = subprocess.run(
+        [*command, "-o", str(folder)], capture_output=True, text=True, check=True,
+        preexec_fn=lambda: os.sched_setaffinity(0, cores),
+    )  # fmt: skip
+    return json.loads(done.stdout)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    not hasattr(os, "sched_getaffinity") or len(os.sched_getaffinity(0)) < 2,
+    reason="needs two cores and a system that gives a process fewer",
+)
+@pytest.mark.parametrize("name", ["halfres", "disc"])
+def test_the_number_of_cores_changes_last_digits_alone(name, tmp_path):
+    both = sorted(os.sched_getaffinity(0))[:2]
+    one, two = (fitted(set(cores), tmp_path, name) for cores in (both[:1], both))
+    for key in one["params"]:
+        a, b = one["params"][key], two["params"][key]
+        assert abs(a["value"] - b["value"]) <= STATED * (a["stderr"] or 0), key
+        assert a["stderr"] == pytest.approx(b["stderr"], rel=STATED), key
+    for key in one.keys() - APART:
+        if isinstance(one[key], float):
+            assert one[key] == pytest.approx(two[key], rel=STATED), key
+        else:
+            assert one[key] == two[key], key
