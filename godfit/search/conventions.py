@@ -147,7 +147,7 @@ class Comparison:
             for shader in shaders
         }
         resized = {n: resampled(self.model, n + drop) for _, n in defaults}
-        explained = self._ranked([], resized, defaults)
+        explained, done = self._ranked([], resized, defaults)
         least = min((e.settled.sigma for e in explained), default=np.inf)
         if samples is None and least > density_minima.IMPROVABLE_NOISE:
             report("other numbers of samples")
@@ -155,8 +155,8 @@ class Comparison:
             # With the pixel's own value free, sums without it are among those that are ranked.
             found = sample_count.spacings(self.model, picture, seed)[:NUMBERS_TRIED]
             spaced = {taps.samples - drop: _spaced(self.model, taps) for _, taps in found}
-            tried = {(form, count) for form in self.forms for count in spaced} - defaults
-            explained = self._ranked(explained, spaced, tried)
+            tried = {(form, count) for form in self.forms for count in spaced} - done
+            explained, _ = self._ranked(explained, spaced, tried)
         return explained
 
     def _ranked(
@@ -164,10 +164,10 @@ class Comparison:
         explained: list[Explained],
         models: dict[int, Mitchell],
         tried: set[tuple[Form, int]],
-    ) -> list[Explained]:
-        """Those ``explained`` and the forms and numbers of taps that are ``tried``, best first. The
-        sum with every number free comes first: none with as many taps is likelier, so that the
-        others are left out where it falls behind."""
+    ) -> tuple[list[Explained], set[tuple[Form, int]]]:
+        """Those ``explained`` and the forms and numbers of taps that are ``tried``, best first, and
+        which of these are done with. The sum with every number free comes first: none with as many
+        taps is likelier, so that the others are left out where it falls behind."""
         counts: dict[int, list[Form]] = {}
         for form, count in sorted(tried, key=repr):
             counts.setdefault(count, []).append(form)
@@ -179,13 +179,15 @@ class Comparison:
             count: np.inf if e is None or not e.finite else e.settled.log_likelihood
             for count, e in whole.items()
         }
+        done = set()
         for count in sorted(counts, key=lambda count: -likelihoods[count]):
             best = max((e.score for e in explained if e.finite), default=-np.inf)
             if likelihoods[count] < best - CLEAR_GAIN:
                 break
             found = [self.explained(f, models[count]) for f in counts[count] if f != Form()]
             explained += [e for e in found if e is not None]
-        return _best_first(explained)
+            done |= {(form, count) for form in counts[count]}
+        return _best_first(explained), done
         return sorted(explained, key=lambda e: -e.score)
 
 
