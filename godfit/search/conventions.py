@@ -274,7 +274,7 @@ def _sums(
 
 def _rounding_alone(found: list[Explained]) -> bool:
     """Whether the best leaves no more than the rounding of the picture's own bytes."""
-    return bool(found) and found[0].settled.sigma <= density_minima.IMPROVABLE_NOISE
+    return bool(found and found[0].settled.sigma <= density_minima.IMPROVABLE_NOISE)
 
 
 def _is_explained(found: list[Explained]) -> bool:
