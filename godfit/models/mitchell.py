@@ -45,7 +45,7 @@ of the published ones."""
 EDGE, BLACK = "edge", "black"
 """What a shader's reads beyond the mask's edge return: the nearest pixel, or black."""
 TINY_DECAY = 1e-12
-"""Least decay in the logarithm of ``resampled``: a decay of 0 has none."""
+"""Least decay in a logarithm: 0 has none, and no tap after the first counts at either."""
 TINY_SUM = 1e-30
 """Least sum of weights to divide by: a weight of 0 is allowed."""
 
@@ -139,7 +139,7 @@ class Mitchell(AbstractModel):
 
     def coordinates(self) -> Float[Array, " p"]:
         per_ray = self.samples / self.density
-        kappa = -per_ray * jnp.log(self.decay)
+        kappa = -per_ray * jnp.log(jnp.maximum(self.decay, TINY_DECAY))
         gain = self.exposure * self.weight * per_ray
         return jnp.stack([self.exposure, kappa, self.density, gain, *self.light.reshape(-1)])
 

@@ -80,6 +80,11 @@ class Explained:
     settled: Settled
     score: float
 
+    @property
+    def finite(self) -> bool:
+        """Whether the search met anything finite."""
+        return math.isfinite(self.score)
+
 
 class Comparison:
     """Sums of other numbers of taps and other forms in place of a ``problem``'s, all settled on the
@@ -131,8 +136,9 @@ class Comparison:
         return Explained(names, problem, settled, settled.log_likelihood - price)
 
     def all(self, report: Report, samples: int | None = None) -> list[Explained]:
-        """Every form, each with the numbers of taps that its shaders have by default and those that
-        the bands suggest, or with ``samples`` alone where these are given; best first."""
+        """Every form that may be the best, each with the numbers of taps that its shaders have by
+        default and those that the bands suggest, or with ``samples`` alone where these are given;
+        best first."""
         report("other conventions")
         drop = self.general.drop
         defaults = {
@@ -141,21 +147,47 @@ class Comparison:
             for shader in shaders
         }
         resized = {n: resampled(self.model, n + drop) for _, n in defaults}
-        found = [self.explained(form, resized[n]) for form, n in sorted(defaults, key=repr)]
-        explained = [e for e in found if e is not None]
+        explained, done = self._ranked([], resized, defaults)
         least = min((e.settled.sigma for e in explained), default=np.inf)
         if samples is None and least > density_minima.IMPROVABLE_NOISE:
             report("other numbers of samples")
             picture, seed = self.problem.picture, self.problem.seed
             # With the pixel's own value free, sums without it are among those that are ranked.
-            for _, taps in sample_count.spacings(self.model, picture, seed)[:NUMBERS_TRIED]:
-                spaced = _spaced(self.model, taps)
-                found = [
-                    self.explained(form, spaced)
-                    for form in self.forms
-                    if (form, taps.samples - drop) not in defaults
-                ]
-                explained += [e for e in found if e is not None]
+            found = sample_count.spacings(self.model, picture, seed)[:NUMBERS_TRIED]
+            spaced = {taps.samples - drop: _spaced(self.model, taps) for _, taps in found}
+            tried = {(form, count) for form in self.forms for count in spaced} - done
+            explained, _ = self._ranked(explained, spaced, tried)
+        return explained
+
+    def _ranked(
+        self,
+        explained: list[Explained],
+        models: dict[int, Mitchell],
+        tried: set[tuple[Form, int]],
+    ) -> tuple[list[Explained], set[tuple[Form, int]]]:
+        """Those ``explained`` and the forms and numbers of taps that are ``tried``, best first, and
+        which of these are done with. The sum with every number free comes first: none with as many
+        taps is likelier, so that the others are left out where it falls behind."""
+        counts: dict[int, list[Form]] = {}
+        for form, count in sorted(tried, key=repr):
+            counts.setdefault(count, []).append(form)
+        whole = {count: self.explained(Form(), models[count]) for count in counts}
+        explained = explained + [
+            e for count, e in whole.items() if e is not None and (Form(), count) in tried
+        ]
+        likelihoods = {
+            count: np.inf if e is None or not e.finite else e.settled.log_likelihood
+            for count, e in whole.items()
+        }
+        done = set()
+        for count in sorted(counts, key=lambda count: -likelihoods[count]):
+            best = max((e.score for e in explained if e.finite), default=-np.inf)
+            if likelihoods[count] < best - CLEAR_GAIN:
+                break
+            found = [self.explained(f, models[count]) for f in counts[count] if f != Form()]
+            explained += [e for e in found if e is not None]
+            done |= {(form, count) for form in counts[count]}
+        return _best_first(explained), done
         return sorted(explained, key=lambda e: -e.score)
 
 
@@ -205,17 +237,26 @@ def identified(
 ) -> list[Explained]:
     """Every convention that could have made the picture of a ``problem`` of the general sum, best
     first. Where no sum over the whole mask explains it, the rival's smaller light pass is tried,
-    and where none does so either, conventions that are no single sum."""
+    and where none does so either, compositions of several sums. Sums that differ from the general
+    one in what they read, or in the places of their taps, are tried wherever more than rounding is
+    left."""
     found = _sums(problem, given, effort, samples)
     if effort.rival is not None and not _is_explained(found):
         effort.report("a smaller light pass")
         found += _sums(effort.rival(), given, effort, samples)
-        found.sort(key=lambda e: -e.score)
-    if not _is_explained(found):
-        composed = [shader for shader in CONVENTIONS.values() if form_of(shader) is None]
-        found += [_composed(problem, given, shader, effort) for shader in composed]
-    # A search that met nothing finite comes last: NaN would leave the others in any order.
-    return sorted(found, key=lambda e: -e.score if math.isfinite(e.score) else math.inf)
+        found = _best_first(found)
+    if not _rounding_alone(found):
+        # A sum of many taps comes near one whose taps lie elsewhere.
+        others = [shader for shader in CONVENTIONS.values() if form_of(shader) is None]
+        if _is_explained(found):
+            others = [shader for shader in others if not shader.composed]
+        found += [_apart(problem, given, shader, effort) for shader in others]
+    return _best_first(found)
+
+
+def _best_first(found: list[Explained]) -> list[Explained]:
+    """By score. A search that met nothing finite comes last: NaN leaves the others in any order."""
+    return sorted(found, key=lambda e: -e.score if e.finite else math.inf)
 
 
 def _sums(
@@ -231,6 +272,11 @@ def _sums(
     return Comparison(problem, begin).all(effort.report, samples)
 
 
+def _rounding_alone(found: list[Explained]) -> bool:
+    """Whether the best leaves no more than the rounding of the picture's own bytes."""
+    return bool(found and found[0].settled.sigma <= density_minima.IMPROVABLE_NOISE)
+
+
 def _is_explained(found: list[Explained]) -> bool:
     """Whether the best leaves no more than rounding or noise."""
     return bool(found) and (found[0].settled.sigma <= WITHIN_ROUNDING or _like_noise(found[0]))
@@ -244,10 +290,10 @@ def _like_noise(explained: Explained) -> bool:
     return misfit(tangent.prediction, observation).like_noise
 
 
-def _composed(
+def _apart(
     problem: Problem, given: dict[str, float], shader: Convention, effort: Effort
 ) -> Explained:
-    """The picture as a convention explains it that is no single sum, from a search of its own."""
+    """The picture as a convention explains it that has no form, from a search of its own."""
     effort.report(f"screening of {shader.name}")
     model = mitchell_template(shader.name, None, len(np.asarray(problem.model.light)))
     problem = problem.replaced(model=model, free=np.isnan(problem.held) & model.used)
@@ -295,19 +341,32 @@ def questioned(found: Found, effort: Effort) -> Found:
     picture clearly better. It is asked only where the residual is more than rounding leaves."""
     problem = found.problem
     model = problem.model
-    if not isinstance(model, Mitchell) or form_of(model.convention) is None or found.objection:
+    if not isinstance(model, Mitchell) or found.objection or not problem.free.any():
         return found
-    if not problem.free.any():
-        return found
-    if _without_own(found):
+    single = form_of(model.convention) is not None
+    if single and _without_own(found):
         return found.replaced(objection=NO_OWN_PIXEL.format(model.shader))
     if found.settled.sigma <= density_minima.IMPROVABLE_NOISE:
         return found
-    comparison = Comparison(problem, found.settled.coordinates)
-    explained = comparison.all(effort.report)
-    if not explained or not _clearly_better(explained[0], comparison.own, found):
+    if single:
+        comparison = Comparison(problem, found.settled.coordinates)
+        own, explained = comparison.own, comparison.all(effort.report)
+    else:
+        observation = problem.observe(SEARCH_PIXELS)
+        own = settle(found.settled.coordinates, problem, observation)[0]
+        explained = _sums(_of_general_sum(problem), {}, effort, None)
+    if not explained or not _clearly_better(explained[0], own, found):
         return found
-    return found.replaced(objection=_objection(explained[0], comparison.own, model))
+    return found.replaced(objection=_objection(explained[0], own, model))
+
+
+def _of_general_sum(problem: Problem) -> Problem:
+    """The same picture under the general sum, with nothing held: numbers of a convention that is no
+    single sum mean something else there."""
+    assert isinstance(problem.model, Mitchell)
+    model = mitchell_template(GENERAL_SUM, None, len(problem.model.light), problem.model.border)
+    held = np.full(len(model.parameters), np.nan, np.float32)
+    return problem.replaced(model=model, free=np.isnan(held), held=held, most={}, prior={})
 
 
 def _without_own(found: Found) -> bool:

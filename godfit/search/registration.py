@@ -49,6 +49,14 @@ SAME_BYTE = 1e-3
 WHOLE = 0.05
 """Pixels within which a map is taken as a shift by whole pixels, where that explains no less."""
 
+WITHOUT_EDGES = 0.01
+"""Noise in levels up to which a resized mask was restored: its edges then leave nothing."""
+RESIZED = (
+    "; a resize changed the mask's edges, and errors do not allow for that: exposure and weight "
+    "may be ten errors off; give the mask as the shader read it"
+)
+"""Words after the note where more is left."""
+
 
 class Map(NamedTuple):
     """Where the target's pixels lie in the mask: by axis, rows first, ``scale`` and ``shift``, in
@@ -179,6 +187,8 @@ def registered(
         f"{right:+.4g} pixels to the right and {down:+.4g} down (noise of {settled.sigma:.2g} "
         f"levels against {begun[0].sigma:.2g} before)"
     )
+    if not found.whole and settled.sigma > WITHOUT_EDGES:
+        words += RESIZED
     return Registered(
         picture.with_mask(best),
         Remark(words, "register"),

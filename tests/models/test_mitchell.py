@@ -76,6 +76,13 @@ def test_the_end_of_a_slider_is_noted(shader, density, free, count):
     assert notes == (f"density is 1, where the slider of {shader} ends",) * count
 
 
+def test_a_decay_of_zero_has_coordinates():
+    model = Mitchell(0.1, 0.0, 0.8, 0.5, (0.5, 0.5))
+    z = model.coordinates()
+    assert np.isfinite(np.asarray(z)).all()
+    assert float(model.moved(z).decay) < 1e-9
+
+
 def test_samples_default_to_the_shaders_own():
     assert Mitchell(*POINT, LIGHT, "vesper").samples == 150
     assert Mitchell(*POINT, LIGHT).samples == 100
