@@ -6,7 +6,6 @@ import functools
 import math
 
 import numpy as np
-from scipy import ndimage
 
 
 def shrink(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -50,6 +49,8 @@ def blurred(image: np.ndarray, sigma: float) -> np.ndarray:
     The kernel is a tent, the convolution of two boxes, whose cost does not grow with its width. It
     stands in for a Gaussian where two images are blurred alike and the shape does not matter.
     """
+    from scipy import ndimage
+
     width = _box_width(sigma)
     if image.ndim == 3:
         return np.stack([blurred(image[..., c], sigma) for c in range(image.shape[-1])], -1)

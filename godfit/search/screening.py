@@ -18,7 +18,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
-from scipy import ndimage
 
 from godfit.inference.observation import Picture
 from godfit.inference.strategy import starts, trading
@@ -188,6 +187,8 @@ def mitchell_starts(
     Parameters in ``given`` are held at their values. The lights are placed one after the other,
     each where it lowers the cost most (matching pursuit).
     """
+    from scipy import ndimage
+
     shader, lights = model.convention, model.light.shape[0]
     if given.keys() >= model.parameters.keys():
         return [_with_given(model, np.asarray(model.coordinates(), np.float32), given)]

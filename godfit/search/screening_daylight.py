@@ -16,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
-from scipy import ndimage
 
 from godfit.inference.observation import Picture
 from godfit.inference.strategy import starts, trading
@@ -87,6 +86,8 @@ def daylight_starts(
 ) -> list[np.ndarray]:
     """The ``keep`` best starting points in the model's coordinates, best first. Parameters in
     ``given`` are held at their values."""
+    from scipy import ndimage
+
     light = np.asarray(decode(picture.levels / np.float32(LEVELS), picture.transfer))
     target = shrink(light, (SCREENING_SIZE, SCREENING_SIZE))
     trust = (
