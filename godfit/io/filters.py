@@ -77,6 +77,31 @@ def blurred_at(image: np.ndarray, sigma: float, pixels: np.ndarray) -> np.ndarra
     return np.stack(channels, -1)
 
 
+def doubled(image: np.ndarray) -> np.ndarray:
+    """(2h, 2w) an image (h, w) read bilinearly at twice as many pixels, clamped to the edge."""
+    out = image
+    for axis in (0, 1):
+        near = np.moveaxis(out, axis, 0).astype(np.float64)
+        before = np.concatenate([near[:1], near[:-1]])
+        after = np.concatenate([near[1:], near[-1:]])
+        both = np.stack([0.75 * near + 0.25 * before, 0.75 * near + 0.25 * after], 1)
+        out = np.moveaxis(both.reshape(-1, *near.shape[1:]), 0, axis)
+    return out.astype(image.dtype)
+
+
+def read_at(image: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """(n,) an image (h, w) read bilinearly at columns and rows ``at`` (n, 2), clamped to the
+    edge."""
+    last = np.array(image.shape[::-1]) - 1
+    place = np.clip(at.astype(np.float64), 0, last)
+    whole = np.floor(place).astype(int)
+    (i, j), (f, g) = whole.T, (place - whole).T
+    (i_next, j_next) = np.minimum(whole + 1, last).T
+    upper = (1 - f) * image[j, i] + f * image[j, i_next]
+    lower = (1 - f) * image[j_next, i] + f * image[j_next, i_next]
+    return ((1 - g) * upper + g * lower).astype(image.dtype)
+
+
 def _box_width(sigma: float) -> int:
     """Width in pixels, odd, of the boxes of a blur: two of them have the variance ``sigma``^2."""
     return 2 * round((math.sqrt(6 * sigma**2 + 1) - 1) / 2) + 1
