@@ -8,11 +8,14 @@ draw everything several times, and give up on small panels.
 from __future__ import annotations
 
 import functools
+import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from godfit.report.pictures import SIGNED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,8 +48,6 @@ BAR = 0.12
 """Height of a bar of colours in inches."""
 SIZES = {"title": 12.0, "head": 10.5, "text": 9.0, "mono": 9.0}
 """Sizes of the fonts in points, by use."""
-SIGNED = "RdBu_r"
-"""Colours of a residual: blue below, red above."""
 INK, ALARM, QUIET = "black", "firebrick", "#444444"
 """Colours of texts: ordinary ones, bad news, captions."""
 
@@ -90,6 +91,10 @@ class Sheet:
     title: str
     good: bool
     blocks: tuple[Grid | Words, ...] = field(default=())
+
+    def png(self) -> bytes:
+        """The figure as a PNG file."""
+        return png(self.figure())
 
     def figure(self) -> Figure:
         """The figure, with a canvas of its own."""
@@ -341,41 +346,8 @@ def _fitting(word: str, room: float, font: str, bold: bool) -> int:
     return low
 
 
-def picture(image: np.ndarray, lights: np.ndarray | None = None, limit: float = 0.0) -> Any:
-    """What draws an image (h, w) or (h, w, 3) of [0, 1] into its panel, or with a ``limit`` levels
-    between it and its negative, with the ``lights`` (u, v) marked."""
-
-    def draw(axes: Any) -> Any:
-        shown = axes.imshow(
-            image if limit or image.ndim == 2 else np.clip(image, 0, 1),
-            cmap=SIGNED if limit else "gray",
-            vmin=-limit if limit else 0,
-            vmax=limit or 1,
-            extent=(0, 1, 0, 1),
-            aspect="auto",
-            interpolation="nearest",
-        )
-        for u, v in () if lights is None else lights:
-            mark_light(axes, float(u), float(v))
-        axes.set_xlim(0, 1)
-        axes.set_ylim(0, 1)
-        return shown
-
-    return draw
-
-
-def mark_light(axes: Any, u: float, v: float) -> None:
-    """A ring at the light, or an arrow at the frame towards a light outside."""
-    if 0 <= u <= 1 and 0 <= v <= 1:
-        axes.plot(u, v, "o", ms=11, mfc="none", mec="black", mew=2.5)
-        axes.plot(u, v, "o", ms=11, mfc="none", mec="gold", mew=1.3)
-        return
-    away = np.array([u, v]) - 0.5
-    edge = 0.5 + away * (0.47 / np.abs(away).max())
-    tail = edge - 0.12 * away / np.hypot(*away)
-    axes.annotate(
-        "",
-        xy=tuple(edge),
-        xytext=tuple(tail),
-        arrowprops={"arrowstyle": "-|>", "color": "gold", "lw": 2.5, "ec": "black"},
-    )
+def png(figure: Figure) -> bytes:
+    """A figure as a PNG file."""
+    data = io.BytesIO()
+    figure.savefig(data, format="png", dpi=DPI)
+    return data.getvalue()
