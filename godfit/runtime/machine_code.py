@@ -72,6 +72,11 @@ def load_code(name: str) -> int | None:
 
         head, _, code = content.partition(b"\n")
         symbol, names = json.loads(head)
+        llvm.initialize_native_target()
+        llvm.initialize_native_asmprinter()
+        machine = llvm.Target.from_default_triple().create_target_machine(jit=True)
+        # With the first engine LLVM learns the names of the process.
+        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
         abort = llvm.address_of_symbol("abort")
         for other in names:
             if llvm.address_of_symbol(other) is None and other in NEVER_CALLED:
@@ -79,10 +84,6 @@ def load_code(name: str) -> int | None:
         # LLVM ends the process where a name is unknown.
         if not all(map(llvm.address_of_symbol, names)):
             return None
-        llvm.initialize_native_target()
-        llvm.initialize_native_asmprinter()
-        machine = llvm.Target.from_default_triple().create_target_machine(jit=True)
-        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
         engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         engine.finalize_object()
         address = engine.get_function_address(symbol)
