@@ -15,7 +15,7 @@ import sys
 
 from godfit.report.sheet import Sheet
 from godfit.report.style import own_style
-from godfit.runtime.parallel import cores
+from godfit.runtime.one_core import cores
 
 TIMEOUT = 60.0
 """Seconds after which a figure is drawn without the process: drawing takes a fraction of one."""
