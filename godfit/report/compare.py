@@ -20,10 +20,9 @@ from godfit.report.figure import (
 )
 from godfit.report.files import PAGE, page_writer, write_result
 from godfit.report.pages import compare_page
-from godfit.report.pictures import PanelImage
 from godfit.report.record import fit_record
 from godfit.report.result import FitResult
-from godfit.report.sheet import QUIET, Grid, Panel, Sheet
+from godfit.report.sheet import QUIET, Grid, Panel, PanelImage, Sheet
 from godfit.report.style import own_style
 
 if TYPE_CHECKING:

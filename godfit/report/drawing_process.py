@@ -54,11 +54,13 @@ def png(sheet: Sheet) -> bytes:
     if process is not None:
         # pickle raises three kinds of errors for what it cannot send.
         unsent = pickle.PicklingError, AttributeError, TypeError
-        with contextlib.suppress(OSError, subprocess.TimeoutExpired, *unsent):
-            drawn, _ = process.communicate(pickle.dumps(sheet), TIMEOUT)
+        with process, contextlib.suppress(OSError, subprocess.TimeoutExpired, *unsent):
+            try:
+                drawn, _ = process.communicate(pickle.dumps(sheet), TIMEOUT)
+            finally:
+                process.kill()
             if process.returncode == 0:
                 return drawn
-        process.kill()
     with own_style():
         return sheet.png()
 

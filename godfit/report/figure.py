@@ -9,8 +9,18 @@ import numpy as np
 
 from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.io.image import LEVELS
-from godfit.report.pictures import PanelImage, SourceMap
-from godfit.report.sheet import ALARM, INK, QUIET, Grid, Line, Panel, Sheet, Words
+from godfit.report.sheet import (
+    ALARM,
+    INK,
+    QUIET,
+    Grid,
+    Line,
+    Panel,
+    PanelImage,
+    Sheet,
+    SourceMap,
+    Words,
+)
 from godfit.report.text import given, half_sentence, rows
 from godfit.scattering.parameters import is_light
 

@@ -18,10 +18,9 @@ from godfit.models.base import AbstractModel
 from godfit.report.figure import PANEL_PIXELS, as_shown, worst_channel
 from godfit.report.files import PAGE, page_writer, write_result
 from godfit.report.pages import select_page
-from godfit.report.pictures import PanelImage
 from godfit.report.record import fit_record
 from godfit.report.result import FitResult
-from godfit.report.sheet import INK, QUIET, Grid, Panel, Sheet, Words
+from godfit.report.sheet import INK, QUIET, Grid, Panel, PanelImage, Sheet, Words
 from godfit.report.style import own_style
 
 if TYPE_CHECKING:

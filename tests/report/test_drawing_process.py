@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from godfit.report import drawing_process
-from godfit.report.pictures import PanelImage
-from godfit.report.sheet import INK, Grid, Panel, Sheet, Words
+from godfit.report.sheet import INK, Grid, Panel, PanelImage, Sheet, Words
 from godfit.report.style import own_style
 
 SHEET = Sheet(
