@@ -8,6 +8,8 @@ names up among the functions of the process: those of the C library and of Pytho
 numba compiles into every function what it does with an exception: helpers of its own print it.
 Functions that raise none never call these. Where numba is not there to provide them, ``abort`` of
 the C library stands in their place.
+
+A damaged file is removed, and numba's own store serves until the sources change.
 """
 
 from __future__ import annotations

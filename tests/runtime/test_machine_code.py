@@ -1,5 +1,5 @@
-"""Machine code of the custom calls: a later run loads it without numba, and makes it again where it
-is damaged."""
+"""Machine code of the custom calls: a later run loads it without numba, and does
+without it where it is damaged."""
 
 import os
 import subprocess
@@ -41,5 +41,6 @@ def test_code_is_loaded_without_numba(tmp_path):
     (stored,) = cache.glob("machine-*/*")
     whole = stored.read_bytes()
     stored.write_bytes(whole[:-100])
+    # numba's own store serves from then on.
     assert run(cache) == ["True", "True", "0"]
-    assert run(cache) == ["True", "False", "1"]
+    assert not stored.exists()
