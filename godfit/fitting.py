@@ -6,18 +6,15 @@ import dataclasses
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
 
-# Importing these registers the searches of each model.
-import godfit.flatland.starts
+# Importing this registers the searches of the models with a mask.
 import godfit.search  # noqa: F401
-from godfit.blind import bare_fit, light_pass, pair_fit, pair_scene, two_screenshots
 from godfit.errors import InputError, Remark
 from godfit.flatland.canvas import Canvas
-from godfit.flatland.fit_setup import prepare_fit
 from godfit.inference.allowances.prior import checked_prior
 from godfit.inference.fitted import Found
 from godfit.inference.problem import (
@@ -47,6 +44,9 @@ from godfit.scenes.view import (
     scene_at_pass_size,
 )
 from godfit.search import conventions, registration
+
+if TYPE_CHECKING:
+    from godfit.blind import light_pass, two_screenshots
 
 NO_VALUES = np.zeros((0, 0), np.float32)
 """Stands for the values of an image of which only the file's name is still needed."""
@@ -287,6 +287,8 @@ def _fit_bare(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     if request.occluder is not None:
         images["occluder"] = read_source(request.occluder, "none", "occluder")
         blocked = occluder_mask(images["occluder"], images["target"])
+    from godfit.blind import bare_fit
+
     asked = bare_fit.Settings(
         valid=request.valid, occluder=blocked, bright_pass=request.bright_pass,
         lights=request.lights, pass_scale=settings.get("pass_scale"), fix=request.held_at,
@@ -307,6 +309,8 @@ def _fit_pair(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     target = _target_of(request)
     scene = read_source(request.background, request.transfer, "background")
     check_size(scene, target)
+    from godfit.blind import light_pass, pair_fit, pair_scene, two_screenshots
+
     encodings = light_pass.encodings_of(request.transfer, shading.convention)
     light = light_pass.light_pass(target, scene, shading.convention, encodings, request.valid)
     request.report("light pass of the two screenshots")
@@ -362,6 +366,8 @@ def _fit_scene(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Imag
     start = dict(request.start or {})
     if request.light_near is not None:
         start = {"light_x": request.light_near[0], "light_y": request.light_near[1]} | start
+    from godfit.blind import pair_fit, pair_scene
+
     mask = pair_scene.not_dark(scene)
     masked = dataclasses.replace(request, mask=mask, start=start, light_near=None, inquire=False)
     found, notes, images = found_for(masked)
@@ -429,6 +435,8 @@ def _pose(request: Request) -> Posed:
     model: AbstractModel
     if request.canvas is not None:
         request.report("rays")
+        from godfit.flatland.fit_setup import prepare_fit
+
         model, picture, images["canvas"] = prepare_fit(
             images["target"], request.canvas, request.rays, request.valid
         )

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from godfit.errors import InputError, shown
+from godfit.flatland.canvas import MODEL_NAME as FLATLAND
 from godfit.flatland.canvas import Canvas
-from godfit.flatland.model import Flatland
 from godfit.inference.observation import ARITHMETICS
 from godfit.inference.problem import MAX_VALUES
 from godfit.io.image import Image
@@ -24,7 +24,7 @@ from godfit.scattering.conventions import AUTO
 from godfit.scenes.scene import Scene, read_scene
 from godfit.scenes.view import in_single_precision
 
-MODELS = (Mitchell.name, HoffmanPreetham.name, Flatland.name)
+MODELS = (Mitchell.name, HoffmanPreetham.name, FLATLAND)
 """Names of the models that can be fitted."""
 
 
@@ -78,7 +78,7 @@ class Request:
     @property
     def kind(self) -> str:
         """The name of the model."""
-        return self.model or (Mitchell.name if self.canvas is None else Flatland.name)
+        return self.model or (Mitchell.name if self.canvas is None else FLATLAND)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -118,11 +118,11 @@ class Request:
             # Names alone are held where the search starts.
             names = [self.fix] if isinstance(self.fix, str) else list(self.fix)
             return dataclasses.replace(self, fix=dict.fromkeys(names)).checked()
-        if self.kind == Flatland.name:
+        if self.kind == FLATLAND:
             self._check_plane()
         elif self.canvas is not None or (self.rays is not None and not self.bare):
             raise InputError(
-                f"canvas, rays: expected --model {Flatland.name} with them, got {self.kind}"
+                f"canvas, rays: expected --model {FLATLAND} with them, got {self.kind}"
             )
         elif self.mask is not None and self.scene is not None:
             raise InputError("fit: expected a mask or a scene, got both")
@@ -195,7 +195,7 @@ class Request:
 
     def _check_plane(self) -> None:
         """Raise InputError for options that the light in the plane does not have."""
-        name = Flatland.name
+        name = FLATLAND
         if self.canvas is None:
             raise InputError(f"canvas: expected one with the model {name}, got none; give one")
         for option in ("mask", "scene", "background", "samples", "pass_scale"):
@@ -243,7 +243,7 @@ def check_model(
     for name, wrong in (("free", free), ("shader", shader), ("lights", lights != 1)):
         if wrong:
             raise InputError(f"{name}: expected none with the model {model}, got one; leave it out")
-    if model == Flatland.name:
+    if model == FLATLAND:
         for name, value in (("fov", fov), ("distance", distance)):
             if value is not None:
                 raise InputError(f"{name}: expected none with the model {model}; leave it out")

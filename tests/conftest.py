@@ -76,9 +76,13 @@ COMPILED = (
     "godfit.flatland.sand_kernel",
     "godfit.scattering.radial.strips_kernel",
     "godfit.runtime.xla_ffi",
+    "godfit.runtime.call_frame",
+    "godfit.runtime.machine_code",
     "godfit.scattering.radial.spacings_kernel",
 )
 compiled = {name: importlib.import_module(name) for name in COMPILED}
+# In the folder of the whole run, and not in that of the test that is the first to call a kernel.
+compiled["godfit.runtime.machine_code"]._folder()
 for name in [n for n in sys.modules if n.split(".")[0] == "godfit"]:
     del sys.modules[name]
 sys.modules |= compiled

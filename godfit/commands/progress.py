@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 import threading
 import time
 from typing import Any
@@ -28,10 +29,7 @@ class Progress:
     and then says what long work is doing."""
 
     def __init__(self, quiet: bool, verbose: bool) -> None:
-        from rich.console import Console
-
-        self.console = Console(stderr=True)
-        self.spins = not quiet and not verbose and self.console.is_terminal
+        self.spins = not quiet and not verbose and sys.stderr.isatty()
         self.verbose = verbose and not quiet
         self.plain = not quiet and not verbose and not self.spins
         self.began = time.perf_counter()
@@ -46,7 +44,9 @@ class Progress:
         elif self.spins and self.status is not None:
             self.status.update(stage)
         elif self.spins and elapsed > SPINNER_DELAY:
-            self.status = self.console.status(stage)
+            from rich.console import Console
+
+            self.status = Console(stderr=True).status(stage)
             self.status.start()
 
     def _speak(self) -> None:

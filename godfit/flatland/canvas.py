@@ -12,6 +12,9 @@ from jaxtyping import Array, Float, UInt8
 from godfit.errors import InputError
 from godfit.io.image import Image, read_layer
 
+MODEL_NAME = "flatland"
+"""The model whose picture is the light about a canvas."""
+
 MAX_CANVAS_SIDE = 16384
 """Pixels: the kernels number cells in 32 bits, the jump flood rows and columns in 15 bits each."""
 

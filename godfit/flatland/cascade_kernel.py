@@ -16,8 +16,8 @@ from godfit.flatland.lane_kernel import (
     set_heading,
 )
 from godfit.flatland.walk_kernel import FILLED, STOPPED, blend, most_hits, walk
+from godfit.runtime.call_frame import answers_version_query, matrix, result, vector
 from godfit.runtime.numba_jit import fast_jit
-from godfit.runtime.xla_ffi import answers_version_query, matrix, result, vector
 
 
 class Cascade(NamedTuple):

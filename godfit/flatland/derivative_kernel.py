@@ -6,8 +6,8 @@ import numpy as np
 
 from godfit.flatland.kernel_records import Limits, Ray, read_trace_arguments
 from godfit.flatland.walk_kernel import ESCAPED, first_step, most_hits, walk
+from godfit.runtime.call_frame import answers_version_query, matrix, result, vector
 from godfit.runtime.numba_jit import fast_jit, inlined_jit
-from godfit.runtime.xla_ffi import answers_version_query, matrix, result, vector
 
 DERIVATIVE_OPAQUE_CELLS = 2
 """A derivative's walk goes on to the second opaque cell: the opacity of the first has a derivative,

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+# Importing this registers the search.
+import godfit.flatland.starts  # noqa: F401
 from godfit.errors import InputError
 from godfit.flatland.canvas import Canvas, read_canvas
 from godfit.flatland.model import FIT_RAYS, Flatland, basis

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from godfit.runtime.call_frame import matrix, vector
 from godfit.runtime.numba_jit import inlined_jit
-from godfit.runtime.xla_ffi import matrix, vector
 
 
 class Grid(NamedTuple):

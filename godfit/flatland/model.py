@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from godfit.flatland.canvas import Canvas
+from godfit.flatland.canvas import MODEL_NAME, Canvas
 from godfit.flatland.rays import TraceSettings, radiance_and_transmittance, steps_to_cross
 from godfit.flatland.sky import Sky
 from godfit.models.base import AbstractModel, Vector
@@ -72,7 +72,7 @@ class Flatland(AbstractModel):
     times the sun's radiance, exposure times the sky's. All but angle and width are linear.
     """
 
-    name: ClassVar[str] = "flatland"
+    name: ClassVar[str] = MODEL_NAME
     held_last: ClassVar[str] = "sky_g"
     product: ClassVar[tuple[str, str]] = ("exposure", "sky_g")
     banded: ClassVar[bool] = False

@@ -37,7 +37,11 @@ from godfit.runtime import xla_ffi
 
 XLA_NAMES = xla_ffi.declare(
     "godfit_flatland",
-    RENDER_FUNCTIONS | DERIVATIVE_FUNCTIONS | CASCADE_FUNCTIONS,
+    {
+        key: f"{function.__module__}:{function.__name__}"
+        for table in (RENDER_FUNCTIONS, DERIVATIVE_FUNCTIONS, CASCADE_FUNCTIONS)
+        for key, function in table.items()
+    },
 )
 """Names of the compiled functions in XLA, by (function, whether in double precision)."""
 

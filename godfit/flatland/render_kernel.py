@@ -24,8 +24,8 @@ from godfit.flatland.walk_kernel import (
     most_hits,
     walk,
 )
+from godfit.runtime.call_frame import answers_version_query, result
 from godfit.runtime.numba_jit import fast_jit
-from godfit.runtime.xla_ffi import answers_version_query, result
 
 
 @fast_jit

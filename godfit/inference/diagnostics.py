@@ -12,7 +12,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from godfit.inference.observation import Picture, render
 from godfit.inference.solver import Tangent
@@ -186,6 +185,8 @@ def _upsampled(picture, full, values, span):
     h, w = picture.size
     if picture.mask.shape[:2] != (h, w):
         return
+    from scipy import ndimage
+
     for factor in (2, 4):
         if min(h, w) < 2 * factor:
             continue

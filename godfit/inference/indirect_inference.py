@@ -15,8 +15,6 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 import numpy as np
-from scipy import ndimage
-from scipy.special import ndtri, stdtrit
 
 from godfit.inference.fitted import Found
 from godfit.inference.information import evidence
@@ -78,6 +76,8 @@ def enlarged_bytes(picture: Picture, model: AbstractModel, rng: np.random.Genera
     and the last bit of the arithmetic decides. If all such values were rounded to the same side,
     the picture would shift by more than the fit resolves. So the share that goes up is drawn for
     each picture."""
+    from scipy import ndimage
+
     assert isinstance(model, Mitchell)
     low = np.atleast_3d(render(model, picture.mask, None, picture.mask.shape[:2]))
     stored = np.floor(low * LEVELS + 0.5) / LEVELS
@@ -121,6 +121,8 @@ def corrected(found: Found) -> Found:
     likelihood = log_likelihood_at(tangent.prediction, found.observation, settled.sigma)
     settled = Settled(z.astype(np.float32), settled.sigma, likelihood, quiet=True)
     at = evidence(settled, tangent, found.observation)
+    from scipy.special import ndtri, stdtrit
+
     # Few pictures leave their covariance uncertain, and the mean that was subtracted.
     count = len(errors)
     wider = (stdtrit(count - 1, 0.975) / ndtri(0.975)) ** 2 * (1 + 1 / count)

@@ -31,7 +31,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpy.polynomial import chebyshev
-from scipy.special import erfcx
 
 LOG_SQRT_2PI = 0.9189385332046727
 """log(sqrt(2 pi)), of the normal density."""
@@ -136,6 +135,7 @@ def mills_ratio(x: Float[Array, "..."]) -> Float[Array, "..."]:
 @functools.cache
 def _mills_terms(degree: int) -> list[float]:
     """Coefficients, lowest first, of (x + c) times the ratio at t = (x - c)/(x + c)."""
+    from scipy.special import erfcx
 
     def scaled(t):
         x = MILLS_CENTRE * (1 + t) / (1 - t)

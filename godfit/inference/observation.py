@@ -11,7 +11,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy import ndimage
 
 from godfit.io.filters import blurred, blurred_at, over_channels, shrink
 from godfit.io.image import LEVELS, Image, encode
@@ -405,11 +404,12 @@ class Picture:
     def _slopes(self) -> np.ndarray:
         """How much the target varies, 0 where all of it is clipped, on a copy of SLOPES_SIZE at
         most."""
-        # Differences over a few pixels resolve slopes that single levels hide.
-
         small = self.shrunk(-(-max(self.size) // SLOPES_SIZE))
         if min(small.size) < 2:
             return np.zeros(small.size, np.float32)
+        from scipy import ndimage
+
+        # Differences over a few pixels resolve slopes that single levels hide.
         bright = np.minimum(small.levels.mean(-1), min(LEVELS, small.ends[1]) - 1)
         down, along = np.gradient(ndimage.gaussian_filter(bright, 1.0))
         return np.where(over_channels(np.logical_and, small.above), 0, np.hypot(down, along))

@@ -11,7 +11,6 @@ from __future__ import annotations
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import ndtri
 
 from godfit.inference.allowances.arithmetic import with_arithmetic
 from godfit.inference.noise import EXPLAINED, SINGLE_PRECISION, best_sigma, noise_of
@@ -49,6 +48,8 @@ def relieved(observation: Observation, prediction: np.ndarray, sigma: float) -> 
     near, count = near[count >= REPEATED_VALUES], count[count >= REPEATED_VALUES]
     if not len(near):
         return observation
+    from scipy.special import ndtri
+
     wider = -noise[near] * ndtri(-np.expm1(-np.log(2) / count)).astype(np.float32)
     lo[near] -= wider
     hi[near] += wider

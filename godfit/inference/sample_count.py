@@ -20,7 +20,6 @@ from godfit.io.image import LEVELS
 from godfit.models.mitchell import Mitchell, resampled
 from godfit.runtime.parallel import cores, parallel_map
 from godfit.scattering.parameters import density_reach
-from godfit.scattering.radial.spacings_kernel import residual_squares
 
 SPACING_PIXELS = 128
 """Pixels at which every spacing is evaluated: thousands of spacings limit their number."""
@@ -77,6 +76,8 @@ class _Scan:
         """(n,) sums of squared residuals, exposure and gain free."""
         h, w = self.size[:2]
         u, v = self.light
+        from godfit.scattering.radial.spacings_kernel import residual_squares
+
         parts = np.array_split(np.arange(len(tried)), min(len(tried), 4 * cores()))
 
         def costs_of(part: np.ndarray) -> np.ndarray:

@@ -7,9 +7,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import lineax as lx
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
 from godfit.inference.allowances.prior import PriorRows, prior_rows
@@ -134,6 +132,9 @@ def _least_squares(
     sigma: Scalar,
     stop: Stop,
 ):
+    import lineax as lx
+    import optimistix as optx
+
     free, held, scale = moving
     lo, hi, foreign = observation.lo, observation.hi, observation.foreign
 

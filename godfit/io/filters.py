@@ -6,7 +6,6 @@ import functools
 import math
 
 import numpy as np
-from scipy import ndimage
 
 
 def shrink(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -50,6 +49,8 @@ def blurred(image: np.ndarray, sigma: float) -> np.ndarray:
     The kernel is a tent, the convolution of two boxes, whose cost does not grow with its width. It
     stands in for a Gaussian where two images are blurred alike and the shape does not matter.
     """
+    from scipy import ndimage
+
     width = _box_width(sigma)
     if image.ndim == 3:
         return np.stack([blurred(image[..., c], sigma) for c in range(image.shape[-1])], -1)
@@ -74,6 +75,31 @@ def blurred_at(image: np.ndarray, sigma: float, pixels: np.ndarray) -> np.ndarra
         windows = np.lib.stride_tricks.sliding_window_view(padded, (tent_width, tent_width))
         channels.append(windows[row, column] @ tent @ tent)
     return np.stack(channels, -1)
+
+
+def doubled(image: np.ndarray) -> np.ndarray:
+    """(2h, 2w) an image (h, w) read bilinearly at twice as many pixels, clamped to the edge."""
+    out = image
+    for axis in (0, 1):
+        near = np.moveaxis(out, axis, 0).astype(np.float64)
+        before = np.concatenate([near[:1], near[:-1]])
+        after = np.concatenate([near[1:], near[-1:]])
+        both = np.stack([0.75 * near + 0.25 * before, 0.75 * near + 0.25 * after], 1)
+        out = np.moveaxis(both.reshape(-1, *near.shape[1:]), 0, axis)
+    return out.astype(image.dtype)
+
+
+def read_at(image: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """(n,) an image (h, w) read bilinearly at columns and rows ``at`` (n, 2), clamped to the
+    edge."""
+    last = np.array(image.shape[::-1]) - 1
+    place = np.clip(at.astype(np.float64), 0, last)
+    whole = np.floor(place).astype(int)
+    (i, j), (f, g) = whole.T, (place - whole).T
+    (i_next, j_next) = np.minimum(whole + 1, last).T
+    upper = (1 - f) * image[j, i] + f * image[j, i_next]
+    lower = (1 - f) * image[j_next, i] + f * image[j_next, i_next]
+    return ((1 - g) * upper + g * lower).astype(image.dtype)
 
 
 def _box_width(sigma: float) -> int:

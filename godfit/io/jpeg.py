@@ -12,7 +12,6 @@ import io
 
 import numpy as np
 from PIL import Image
-from scipy import fft
 
 from godfit.io.image import LEVELS
 
@@ -82,6 +81,8 @@ def _share_of_zeros(levels: np.ndarray, down: int, right: int) -> float:
 
     Flat and clipped blocks are left out, and constant terms; NaN where too few blocks remain.
     """
+    from scipy import fft
+
     h, w = ((n - JPEG_BLOCK) // JPEG_BLOCK for n in levels.shape)
     part = levels[down : down + h * JPEG_BLOCK, right : right + w * JPEG_BLOCK]
     blocks = part.reshape(h, JPEG_BLOCK, w, JPEG_BLOCK).swapaxes(1, 2)

@@ -20,8 +20,8 @@ from godfit.models.disc_box import (
     disc_box,
     edge_distances,
 )
+from godfit.runtime.call_frame import answers_version_query, matrix, result, vector
 from godfit.runtime.numba_jit import fast_jit, inlined_jit
-from godfit.runtime.xla_ffi import answers_version_query, declare, matrix, result, vector
 
 POINT_GROUP = 32
 """Points that are summed side by side, in vector registers."""
@@ -314,6 +314,3 @@ def _single(frame):
 
 def _double(frame):
     return _points(frame, np.float64)
-
-
-DISC_TARGETS = declare("godfit_disc", {False: _single, True: _double})

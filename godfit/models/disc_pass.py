@@ -11,11 +11,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from godfit.models.disc_kernel import DISC_TARGETS, SLOPE_ROWS, VALUE_ROWS
+from godfit.models.disc_kernel import SLOPE_ROWS, VALUE_ROWS
 from godfit.runtime import xla_ffi
 from godfit.scattering.radial.derivatives import RayParameters
 from godfit.scattering.taps import Count
 
+DISC_TARGETS = xla_ffi.declare(
+    "godfit_disc",
+    {False: "godfit.models.disc_kernel:_single", True: "godfit.models.disc_kernel:_double"},
+)
+"""Names of the compiled functions in XLA, by whether in double precision."""
 POINTS_OF_ONE_CALL = 4096
 """Points up to which one call is made: XLA's threads are not worth their start for fewer."""
 PARALLEL_CALLS = 8

@@ -12,7 +12,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy import optimize
 
 from godfit.errors import InputError, Remark
 from godfit.io.arrays import as_light
@@ -353,6 +352,8 @@ def resampled(model: Mitchell, samples: int) -> Mitchell:
 
     low, high = MIN_RESAMPLED_DENSITY * density, density_reach(density)
     if centroid_error(low) < 0 < centroid_error(high):
+        from scipy import optimize
+
         root: Any = optimize.brentq(centroid_error, low, high, xtol=DENSITY_TOLERANCE)
         rho = float(root)
     else:

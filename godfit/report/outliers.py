@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
 
 WINDOW = 9
 """Frames over which a median is taken: a light that moves is nearly still over so few."""
@@ -22,6 +21,8 @@ def outlying(values: np.ndarray, errors: np.ndarray) -> np.ndarray:
     scatter is added: GAUSSIAN times the median absolute difference of all frames (Huber, Robust
     Statistics, section 5.1).
     """
+    from scipy import ndimage
+
     out = np.zeros(len(values))
     known = np.isfinite(values)
     if known.sum() < 3:

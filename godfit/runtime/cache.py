@@ -27,7 +27,7 @@ STORED_ELSEWHERE = "stored_"
 """How the name of a function begins whose program ``program_cache`` stores: JAX does not."""
 _PRIVATE = 0o700
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
-_OLD = re.compile(r"(numba|jax|programs)-[0-9a-f]+(-[0-9a-f]+)?|jit_.*-(cache|atime)")
+_OLD = re.compile(r"(numba|jax|machine|programs)-[0-9a-f]+(-[0-9a-f]+)?|jit_.*-(cache|atime)")
 """Names that this version or an earlier one gives to what it stores."""
 
 _warned: set[Path] = set()

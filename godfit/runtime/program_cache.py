@@ -31,7 +31,6 @@ import functools
 import hashlib
 import os
 import pickle
-import platform
 import re
 import sys
 import threading
@@ -49,6 +48,7 @@ from jax.core import Tracer
 
 from godfit.runtime.cache import STORED_ELSEWHERE, version_folder
 from godfit.runtime.checked_files import discard, read_checked, write_checked
+from godfit.runtime.machine_code import processor
 
 Program = Callable[..., Any]
 
@@ -293,28 +293,25 @@ def _register_custom_call(name: str) -> bool:
     if name.startswith(LAPACK_PREFIX):
         _register_lapack()
         return True
-    # Not imported here: it needs numba, and a module that declares a custom call has imported it.
+    # Not imported here: a module that declares a custom call has imported it.
     xla_ffi = sys.modules.get("godfit.runtime.xla_ffi")
     return xla_ffi is not None and xla_ffi.register(name)
 
 
 @functools.cache
 def _register_lapack() -> None:
-    # JAX registers all of LAPACK's functions when it lowers a program that calls one.
-    jax.jit(jnp.linalg.qr).lower(jax.ShapeDtypeStruct((1, 1), jnp.float32))
+    # JAX looks up LAPACK's functions in scipy when it lowers a program that calls one.
+    try:
+        from jaxlib.lapack import prepare_lapack_call
+
+        prepare_lapack_call("geqrf_ffi", np.dtype(np.float32))
+    except (ImportError, AttributeError):
+        jax.jit(jnp.linalg.qr).lower(jax.ShapeDtypeStruct((1, 1), jnp.float32))
 
 
 def _environment_hash() -> str:
     """A hash of everything but the package's sources that every program depends on."""
-    try:
-        import llvmlite.binding as llvm
-        import numba
-
-        features = llvm.get_host_cpu_features().flatten()
-        processor = numba.__version__, llvm.get_host_cpu_name(), features
-    except ImportError:
-        processor = platform.machine(), platform.processor()
     flags = os.environ.get("XLA_FLAGS", "")
     versions = jax.__version__, version("jaxlib"), sys.version
-    parts = (*versions, processor, flags, jax.device_count())
+    parts = (*versions, processor(), flags, jax.device_count())
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]

@@ -1,113 +1,34 @@
 """Functions compiled by numba as XLA custom calls, which run inside ``jit`` without Python.
 
-XLA calls a C function with one pointer, to a call frame that lists buffers (the typed foreign
-function interface, jaxlib/include/xla/ffi/api/c_api.h). ``numba.cfunc`` compiles such functions,
-and this module reads the frame. Unlike ``jax.pure_callback``, a custom call does not need the
-interpreter's lock, independent calls run at the same time on XLA's threads, and a program with
-custom calls can be stored in the compilation cache.
+Unlike ``jax.pure_callback``, a custom call does not need the interpreter's lock, independent calls
+run at the same time on XLA's threads, and a program with custom calls can be stored in the
+compilation cache. ``call_frame.py`` has what these functions are written with.
 
-Offsets are in words of eight bytes. They are those of the interface's first version; later versions
-add fields only at the ends of its structures.
+The module of a function, and numba, are imported where it has to be compiled. What an earlier run
+has compiled is loaded without them where ``machine_code.py`` can.
 """
 
 from __future__ import annotations
 
+import ctypes
+import importlib
 import threading
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
-from numba import (
-    carray,  # pyright: ignore[reportPrivateImportUsage]
-    cfunc,
-    types,
-)
-from numba.extending import intrinsic
 
-from godfit.runtime.numba_cache import store_compiled
-from godfit.runtime.numba_jit import inlined_jit
+from godfit.runtime.machine_code import load_code, store_code
 
-_WORDS = types.CPointer(types.int64)
-"""Type of a pointer to words of eight bytes."""
-
-# Words of XLA_FFI_CallFrame. Arguments and results are arrays of pointers to buffers, which are the
-# last words of the XLA_FFI_Args and XLA_FFI_Rets that the frame contains.
-_FRAME_EXTENSION = 1
-_FRAME_API = 2
-_FRAME_ARGUMENTS = 9
-_FRAME_RESULTS = 14
-
-# Words of XLA_FFI_Buffer.
-_BUFFER_DATA = 3
-_BUFFER_DIMENSIONS = 5
-
-# XLA queries the version by an extension of the type XLA_FFI_Extension_Metadata. These are its
-# words, that of the version in XLA_FFI_Metadata, and that of XLA's own version in XLA_FFI_Api.
-_METADATA_TYPE = 1
-_EXTENSION_TYPE = 1
-_EXTENSION_METADATA = 3
-_METADATA_VERSION = 3
-_API_VERSION = 4
-
-
-def _cast(context, builder, signature, arguments):
-    return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
-
-
-# Any: intrinsics are called without their first argument.
-# From an address (int64) and a kind of number, as in np.float32, to a pointer to such numbers.
-_pointer: Any = intrinsic(
-    lambda _, address, kind: (types.CPointer(kind.dtype)(address, kind), _cast)
-)
-# From an address to a pointer to words.
-_words: Any = intrinsic(lambda _, address: (_WORDS(address), _cast))
-
-
-@inlined_jit
-def answers_version_query(frame):
-    """Whether ``frame`` is XLA's query for the interface's version, which this answers, and not a
-    call.
-
-    The answer is XLA's own version: this module uses nothing that differs between versions.
-    """
-    if frame[_FRAME_EXTENSION] == 0:
-        return False
-    extension = _words(frame[_FRAME_EXTENSION])
-    # The type is an enum of four bytes.
-    if extension[_EXTENSION_TYPE] & 0xFFFFFFFF != _METADATA_TYPE:
-        return False
-    version = _words(frame[_FRAME_API])[_API_VERSION]
-    _words(extension[_EXTENSION_METADATA])[_METADATA_VERSION] = version
-    return True
-
-
-@inlined_jit
-def vector(frame, index, kind):
-    """Argument ``index`` of the call, an array (n,) of ``kind``, as in np.float32."""
-    buffer = _words(_words(frame[_FRAME_ARGUMENTS])[index])
-    size = _words(buffer[_BUFFER_DIMENSIONS])
-    return carray(_pointer(buffer[_BUFFER_DATA], kind), (size[0],))
-
-
-@inlined_jit
-def matrix(frame, index, kind):
-    """Argument ``index`` of the call, an array (m, n) of ``kind``."""
-    buffer = _words(_words(frame[_FRAME_ARGUMENTS])[index])
-    size = _words(buffer[_BUFFER_DIMENSIONS])
-    return carray(_pointer(buffer[_BUFFER_DATA], kind), (size[0], size[1]))
-
-
-@inlined_jit
-def result(frame, kind):
-    """The call's first result, an array (k, m, n) of ``kind`` to write to."""
-    buffer = _words(_words(frame[_FRAME_RESULTS])[0])
-    size = _words(buffer[_BUFFER_DIMENSIONS])
-    return carray(_pointer(buffer[_BUFFER_DATA], kind), (size[0], size[1], size[2]))
+_CALL = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)
+"""Type of a function that XLA calls."""
 
 
 class _Target(NamedTuple):
-    """A declared custom call: its function, and whether it is registered with XLA."""
+    """A declared custom call: where its function is, as "module:name", and whether it is registered
+    with XLA."""
 
-    function: Any
+    place: str
     lock: threading.Lock
     registered: threading.Event
 
@@ -115,31 +36,38 @@ class _Target(NamedTuple):
 _declared: dict[str, _Target] = {}
 
 
-def declare(prefix: str, functions: dict[Any, Any]) -> dict[Any, str]:
-    """Declare ``functions`` (frame -> 0) as custom calls, without compiling them; returns their
-    names, ``prefix`` + function's name, by the same keys.
+def declare(prefix: str, places: Mapping[Any, str]) -> dict[Any, str]:
+    """Declare functions (frame -> 0), at ``places`` "module:name", as custom calls, without
+    importing them; returns their names, ``prefix`` + function's name, by the same keys.
 
     A name is the same in every run, because stored programs refer to their custom calls by it.
     """
-    names = {key: prefix + function.__name__ for key, function in functions.items()}
+    names = {key: prefix + place.partition(":")[2] for key, place in places.items()}
     for key, name in names.items():
-        _declared[name] = _Target(functions[key], threading.Lock(), threading.Event())
+        _declared[name] = _Target(places[key], threading.Lock(), threading.Event())
     return names
 
 
-def _compiled(function: Any) -> Any:
-    """The C function of ``function``, compiled, or loaded from the cache where numba allows it."""
-    signature = types.int64(_WORDS)
+def _compiled(name: str, place: str) -> Any:
+    """The C function at ``place``, compiled, or loaded from the cache where numba allows it."""
+    from numba import cfunc
+
+    from godfit.runtime.call_frame import FRAME_SIGNATURE
+    from godfit.runtime.numba_cache import store_compiled
+
+    module, _, own_name = place.partition(":")
+    function = getattr(importlib.import_module(module), own_name)
     try:
         from numba.core.ccallback import CFunc
         from numba.core.sigutils import normalize_signature
 
         # ``cfunc`` compiles at once, before its cache could be replaced.
-        compiled = CFunc(function, normalize_signature(signature), locals={}, options={})
+        compiled = CFunc(function, normalize_signature(FRAME_SIGNATURE), locals={}, options={})
         store_compiled(compiled, function)
     except Exception:
-        return cfunc(signature)(function)
+        return cfunc(FRAME_SIGNATURE)(function)
     compiled.compile()
+    store_code(name, compiled)
     return compiled
 
 
@@ -154,8 +82,9 @@ def register(name: str) -> bool:
         return False
     with target.lock:
         if not target.registered.is_set():
-            compiled = _compiled(target.function)
-            jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(compiled.ctypes), platform="cpu")
+            address = load_code(name)
+            function = _compiled(name, target.place).ctypes if address is None else _CALL(address)
+            jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(function), platform="cpu")
             target.registered.set()
     return True
 

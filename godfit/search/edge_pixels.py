@@ -11,9 +11,9 @@ recovers the mask.
 from __future__ import annotations
 
 import dataclasses
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import sparse
 
 from godfit.inference.observation import Picture
 from godfit.inference.problem import SEARCH_PIXELS, Problem
@@ -28,6 +28,9 @@ from godfit.scenes.scene import Scene
 from godfit.scenes.view import drawn_mask
 from godfit.search import beyond_light, density_minima
 from godfit.search.multigrid import climb
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 EDGE_ROUNDS = 4
 """Rounds of fitting and settling edge pixels, at most: they end once the mask stays."""
@@ -170,6 +173,8 @@ class _UncertainEdges:
 
     def settled(self, problem: Problem, z: np.ndarray) -> np.ndarray:
         """The mask (h, w, c) with every uncertain pixel on the side that the residual supports."""
+        from scipy import sparse
+
         picture, fitted = problem.picture, problem.at(z)
         assert isinstance(fitted, Mitchell)
         residual = _residual(problem, z)
@@ -220,6 +225,8 @@ class _UncertainEdges:
 
     def _streaks(self, model: Mitchell) -> sparse.csr_array:
         """(h w, k) levels that each pixel of the light pass gains with a unit of each texel."""
+        from scipy import sparse
+
         h, w = self.hard.shape[:2]
         entries = []
         texels = np.arange(len(self.rows))

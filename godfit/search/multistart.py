@@ -6,7 +6,6 @@ import itertools
 from collections.abc import Callable
 
 import numpy as np
-from scipy import ndimage
 
 from godfit.inference import diagnostics
 from godfit.inference.fitted import Found
@@ -81,6 +80,8 @@ def _other_place(problem: Problem, starts: Starts) -> tuple[int, int] | None:
     """Pixels, down and to the right, by which the mask must be moved to fit far better; None where
     no shift does. The shift at which the edges of mask and target agree best is tried first, then
     its neighbours for as long as they are better."""
+    from scipy import ndimage
+
     picture = problem.picture
     if picture.mask.shape[:2] != picture.size or min(picture.size) < 4 * MAX_SHIFT:
         return None
@@ -117,6 +118,8 @@ def _settled(problem: Problem, start: np.ndarray) -> Settled:
 def edges_agree(target: np.ndarray, mask: np.ndarray) -> tuple[int, int]:
     """The shift of ``mask`` (h, w), at most MAX_SHIFT pixels either way, by which its fine detail
     is correlated most with that of ``target`` (h, w)."""
+    from scipy import ndimage
+
     inner = (slice(MAX_SHIFT, -MAX_SHIFT),) * 2
     fine = [z - ndimage.gaussian_filter(z, FINE_DETAIL) for z in (target, mask)]
 

@@ -18,7 +18,6 @@ import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from godfit.errors import InputError, Remark
 from godfit.inference.observation import Picture
@@ -82,6 +81,8 @@ class Map(NamedTuple):
 
     def applied(self, mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         """(h, w, ...) the ``mask`` at the target's pixels, its edge repeated."""
+        from scipy import ndimage
+
         offset = 0.5 * self.scale + self.shift - 0.5
 
         def one(channel):

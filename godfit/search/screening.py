@@ -18,12 +18,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
-from scipy import ndimage
 
 from godfit.inference.observation import Picture
 from godfit.inference.strategy import starts, trading
 from godfit.inference.variable_projection import nonnegative_two
-from godfit.io.filters import grey, shrink
+from godfit.io.filters import doubled, grey, read_at, shrink
 from godfit.io.image import LEVELS, decode
 from godfit.models.coordinates import EXPOSURE, GAIN
 from godfit.models.mitchell import Mitchell
@@ -220,12 +219,12 @@ def mitchell_starts(
         # The last step of a ray may be covered in part.
         part = np.clip(shapes[:, 1:] * RAY_STEPS - np.arange(steps), 0, 1)
         along = (np.exp(-shapes[:, :1] * middles) * part / RAY_STEPS).astype(np.float32)
-        own = ndimage.map_coordinates(mask, at[:, ::-1].T, order=1, mode="nearest")
+        own = read_at(mask, at)
         own = own * np.float32(lights * shader.own)
         if not shader.own_scaled:
             # A pixel's own value with a known factor leaves the rest to be explained.
             goal, own = goal - own, 0 * own
-        fine = ndimage.zoom(mask, 2, order=1, mode="nearest", grid_mode=True)
+        fine = doubled(mask)
 
         def rays_to(spots):
             return read_rays(on_device(fine), on_device(spots), on_device(at), steps)

@@ -16,12 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
-from scipy import ndimage
 
 from godfit.inference.observation import Picture
 from godfit.inference.strategy import starts, trading
 from godfit.inference.variable_projection import nonnegative_one
-from godfit.io.filters import grey, shrink
+from godfit.io.filters import doubled, grey, shrink
 from godfit.io.image import LEVELS, decode
 from godfit.models.atmosphere import zenith_angle
 from godfit.models.hoffman_preetham import MIN_OPTICAL_DEPTH, HoffmanPreetham
@@ -114,7 +113,7 @@ def daylight_starts(
             ]
         )
     suns, _ = light_places(light_grid(target.mean(-1), seed), given, 1)
-    fine = ndimage.zoom(mask, 2, order=1, mode="nearest", grid_mode=True)
+    fine = doubled(mask)
     lit = read_rays(jnp.asarray(fine), jnp.asarray(suns), jnp.asarray(at)).mean(1)
     shapes = _shapes(model, given)
     distance, direction = model.view.rays((h, w), jnp.asarray(chosen))

@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from godfit.inference import diagnostics
 from godfit.inference.fitted import Found
@@ -242,6 +241,8 @@ class Trial:
 
     def _after(self) -> Iterator[Tried]:
         """What was done to the picture after the light pass."""
+        from scipy import ndimage
+
         picture = self.problem.picture
         if picture.transfer != "none" or self.small.picture is not picture:
             return
@@ -260,6 +261,8 @@ class Trial:
             yield from self._on_another_background()
 
     def _enlarged(self, factor: int) -> Iterator[Tried]:
+        from scipy import ndimage
+
         h, w = self.problem.picture.size
         if min(h, w) < 4 * factor:
             return

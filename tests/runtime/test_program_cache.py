@@ -211,9 +211,9 @@ def test_what_cannot_be_kept_is_compiled(traced, another_run):
 @pytest.mark.skipif("strips" not in EXACT, reason="numba is not installed")
 def test_foreign_functions_are_known_by_name():
     from godfit.runtime import xla_ffi
-    from godfit.scattering.radial import strips_kernel
+    from godfit.scattering.radial import strips
 
-    assert xla_ffi.register(strips_kernel.STRIP_CALLS["points", False])
+    assert xla_ffi.register(strips.STRIP_CALLS["points", False])
     assert not xla_ffi.register("nobody")
 
 

@@ -22,7 +22,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy import ndimage
 
 from godfit.inference.fitted import Found
 from godfit.inference.likelihood import interval
@@ -46,6 +45,8 @@ def rounded_texels(picture: Picture, model: AbstractModel) -> np.ndarray | None:
     levels = np.rint(mask * LEVELS)
     if not model.convention.half_floats or not np.allclose(mask * LEVELS, levels, atol=1e-3):
         return None
+    from scipy import ndimage
+
     grey = (levels > 0) & (levels < LEVELS)
     around = np.ones((3, 3, *[1] * (mask.ndim - 2)), bool)
     unsure = ndimage.binary_dilation(grey, around)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from importlib.util import find_spec
 
 import jax
 from jaxtyping import Array, Float
@@ -12,6 +13,7 @@ from godfit.runtime.program_cache import RunTime
 from godfit.scattering.radial.packed import packed
 from godfit.scattering.radial.pairs import pairs
 from godfit.scattering.radial.reference import reference
+from godfit.scattering.radial.strips import strips
 from godfit.scattering.taps import Count, Taps
 
 Method = Callable[
@@ -23,10 +25,8 @@ EXACT: dict[str, Method] = {"reference": reference, "pairs": pairs, "packed": pa
 """Methods whose only error is rounding: packed for 8-bit masks, the others for every mask.
 Reference serves all taps, the others those whose unit is the ray."""
 
-try:
-    from godfit.scattering.radial.strips import strips
-except ImportError as error:
-    warnings.warn(f"without numba sums take some ten times as long: {error}", stacklevel=2)
+if find_spec("numba") is None:
+    warnings.warn("without numba sums take some ten times as long", stacklevel=2)
 else:
     EXACT["strips"] = strips
 
@@ -52,7 +52,7 @@ def compile_fastest() -> None:
     """
     if jax.default_backend() == "cpu" and "strips" in EXACT:
         from godfit.runtime.xla_ffi import register
-        from godfit.scattering.radial.strips_kernel import STRIP_CALLS
+        from godfit.scattering.radial.strips import STRIP_CALLS
 
         # In the order in which a fit needs them.
         for kind in ("points", "picture"):

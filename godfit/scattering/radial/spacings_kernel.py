@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from godfit.runtime.numba_jit import jit
-from godfit.scattering.radial.strips_kernel import FLAT_CELL, point_sums
+from godfit.scattering.radial.strips import FLAT_CELL
+from godfit.scattering.radial.strips_kernel import point_sums
 
 RELATIVE_RIDGE = 1e-12
 """Added to the diagonal of the normal equations, relative to its sum: a matrix without an own-pixel

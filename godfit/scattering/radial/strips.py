@@ -23,9 +23,21 @@ from jaxtyping import Array, Float
 from godfit.runtime import xla_ffi
 from godfit.scattering.radial.derivatives import RayParameters, geometric_sum
 from godfit.scattering.radial.pairs import pair_sums
-from godfit.scattering.radial.strips_kernel import FLAT_CELL, STRIP_CALLS, TILE_ROWS
 from godfit.scattering.taps import Count, Taps
 
+STRIP_CALLS = xla_ffi.declare(
+    "godfit",
+    {
+        (kind, double): f"godfit.scattering.radial.strips_kernel:_{kind}_{real}"
+        for kind in ("picture", "points")
+        for double, real in ((False, "single"), (True, "double"))
+    },
+)
+"""Names of the compiled functions in XLA, by what they sum at and whether in double precision."""
+TILE_ROWS = 32
+"""Rows of a tile of S alone: with its strips it stays in the cache closest to the core."""
+FLAT_CELL = 8
+"""Side, in texels, of the cells of which the mask has one value or not."""
 MAX_STRIP_CALLS = 16
 """Most calls for one picture: XLA distributes the calls of a program over its threads only where
 there are many, and runs a program of few steps in order."""

@@ -13,21 +13,29 @@ from typing import NamedTuple
 
 import numpy as np
 
+from godfit.runtime.call_frame import (
+    LINE_BYTES,
+    allocate,
+    answers_version_query,
+    array_at,
+    matrix,
+    release,
+    result,
+    vector,
+)
 from godfit.runtime.numba_jit import fast_jit, inlined_jit
-from godfit.runtime.xla_ffi import answers_version_query, declare, matrix, result, vector
+from godfit.scattering.radial.strips import FLAT_CELL, TILE_ROWS
 
 TILE_COLUMNS = 64
 """Columns of a tile: the fixed length of the inner loops, which fills the vector registers."""
-TILE_ROWS = 32
-"""Rows of a tile of S alone: with its strips it stays in the cache closest to the core."""
 TILE_ROWS_OF_FOUR_SUMS = 12
 """Rows of a tile of all four sums: more do not stay in that cache."""
-FLAT_CELL = 8
-"""Side, in texels, of the cells of which the mask has one value or not."""
 POINT_GROUP = 32
 """Points whose sums are computed side by side: an inner loop that fills the vector registers."""
 MIN_TILE_RUN = 32
 """Fewest points in a row that are worth a tile: it has TILE_COLUMNS, however many are used."""
+NUMBER_BYTES = 8
+"""Bytes of a number in the memory of a call, at most."""
 
 
 class Scratch(NamedTuple):
@@ -36,7 +44,9 @@ class Scratch(NamedTuple):
     ``total`` (1 or 4, rows, TILE_COLUMNS) holds a tile's sums. ``level`` (2,) holds what flat taps
     add to S and S_r of every pixel. ``strip`` and ``slope`` (mask rows, TILE_COLUMNS) hold the mask
     rows resampled along the columns, and their slopes. ``column`` and ``row`` hold, for each column
-    and row of the tile, the index of a texel and the fraction of the way to the next.
+    and row of the tile, the index of a texel and the fraction of the way to the next. ``point``
+    (2, POINT_GROUP) holds positions, ``texel`` indices and ``part`` (2, POINT_GROUP) fractions of
+    a group of points.
     """
 
     total: np.ndarray
@@ -45,18 +55,60 @@ class Scratch(NamedTuple):
     slope: np.ndarray
     column: tuple[np.ndarray, np.ndarray]
     row: tuple[np.ndarray, np.ndarray]
+    point: np.ndarray
+    texel: np.ndarray
+    part: np.ndarray
 
 
 @fast_jit
-def _scratch(mask, sums, rows, mask_rows):
+def _lines(count):
+    """Bytes of ``count`` numbers, a multiple of LINE_BYTES."""
+    return (NUMBER_BYTES * count + LINE_BYTES - 1) // LINE_BYTES * LINE_BYTES
+
+
+@fast_jit
+def _scratch_bytes(sums, rows, mask_rows):
+    """Bytes of ``_scratch``, and of the way to its first line."""
+    tile, strip = _lines(sums * rows * TILE_COLUMNS), _lines(mask_rows * TILE_COLUMNS)
+    ends = _lines(2) + 2 * _lines(TILE_COLUMNS) + 2 * _lines(rows)
+    return LINE_BYTES + tile + 2 * strip + ends + 5 * _lines(POINT_GROUP)
+
+
+@fast_jit
+def _scratch(address, mask, sums, rows, mask_rows):
+    """The arrays of a call, in the memory at ``address``."""
+    real = mask.dtype.type
+    total = (address + LINE_BYTES - 1) // LINE_BYTES * LINE_BYTES
+    level = total + _lines(sums * rows * TILE_COLUMNS)
+    strip = level + _lines(2)
+    slope = strip + _lines(mask_rows * TILE_COLUMNS)
+    column = slope + _lines(mask_rows * TILE_COLUMNS)
+    row = column + 2 * _lines(TILE_COLUMNS)
+    point = row + 2 * _lines(rows)
+    texel = point + 2 * _lines(POINT_GROUP)
+    part = texel + _lines(POINT_GROUP)
     return Scratch(
-        np.empty((sums, rows, TILE_COLUMNS), mask.dtype),
-        np.empty(2),
-        np.empty((mask_rows, TILE_COLUMNS), mask.dtype),
-        np.empty((mask_rows, TILE_COLUMNS), mask.dtype),
-        (np.empty(TILE_COLUMNS, np.uint64), np.empty(TILE_COLUMNS, mask.dtype)),
-        (np.empty(rows, np.uint64), np.empty(rows, mask.dtype)),
+        array_at(total, real, (sums, rows, TILE_COLUMNS)),
+        array_at(level, np.float64, (2,)),
+        array_at(strip, real, (mask_rows, TILE_COLUMNS)),
+        array_at(slope, real, (mask_rows, TILE_COLUMNS)),
+        (
+            array_at(column, np.uint64, (TILE_COLUMNS,)),
+            array_at(column + _lines(TILE_COLUMNS), real, (TILE_COLUMNS,)),
+        ),
+        (array_at(row, np.uint64, (rows,)), array_at(row + _lines(rows), real, (rows,))),
+        array_at(point, np.float64, (2, POINT_GROUP)),
+        array_at(texel, np.uint64, (POINT_GROUP,)),
+        array_at(part, real, (2, POINT_GROUP)),
     )
+
+
+@fast_jit
+def _is_finite(ray):
+    finite = True
+    for number in ray:
+        finite &= np.isfinite(number)
+    return finite
 
 
 @fast_jit
@@ -175,12 +227,16 @@ def _picture_rows(mask, flat, ray, count, begin, out):
     """The sums of the picture's rows from ``begin`` on, set in ``out`` (1 or 4, rows, w)."""
     real = mask.dtype.type
     sums, rows, width = out.shape
-    if not np.isfinite(ray).all():
+    if not _is_finite(ray):
         out[:] = np.nan
         return
     tile_rows = TILE_ROWS if sums == 1 else TILE_ROWS_OF_FOUR_SUMS
     mask_rows = _mask_rows(float(ray[3]), float(ray[4]), count, mask.shape[0])
-    scratch = _scratch(mask, sums, tile_rows, mask_rows)
+    memory = allocate(_scratch_bytes(sums, tile_rows, mask_rows))
+    if memory == 0:
+        out[:] = np.nan
+        return
+    scratch = _scratch(memory, mask, sums, tile_rows, mask_rows)
     for top in range(0, rows, tile_rows):
         high = min(tile_rows, rows - top)
         for left in range(0, width, TILE_COLUMNS):
@@ -191,6 +247,7 @@ def _picture_rows(mask, flat, ray, count, begin, out):
                 for y in range(high):
                     for x in range(wide):
                         out[s, top + y, left + x] = scratch.total[s, y, x] + add
+    release(memory)
 
 
 @fast_jit
@@ -211,12 +268,18 @@ def point_sums(mask, flat, at, ray, count, out):
     """The sums at columns and rows ``at`` (2, points), set in ``out`` (1 or 4, 1, points)."""
     real = mask.dtype.type
     sums, points = out.shape[0], out.shape[2]
-    if not np.isfinite(ray).all():
+    if not _is_finite(ray):
         out[:] = np.nan
         return
-    scratch = _scratch(mask, sums, 1, 2)
+    tile_rows, mask_rows = np.int64(1), np.int64(2)
+    size = _scratch_bytes(sums, tile_rows, mask_rows)
+    memory = allocate(size + NUMBER_BYTES * points)
+    if memory == 0:
+        out[:] = np.nan
+        return
+    scratch = _scratch(memory, mask, sums, tile_rows, mask_rows)
     # Points that are in no long run are summed in groups, at the end.
-    single, singles = np.empty(points, np.int64), 0
+    single, singles = array_at(memory + size, np.int64, (points,)), 0
     # Both have the types that ``_picture_rows`` passes to ``_tile``, so that it is compiled once.
     begin, height = np.int64(0), np.int64(1)
     while begin < points:
@@ -237,22 +300,23 @@ def point_sums(mask, flat, at, ray, count, out):
     for begin in range(0, singles, POINT_GROUP):
         group = single[begin : min(begin + POINT_GROUP, singles)]
         total[:] = 0
-        _add_group(mask, at, ray, count, group, total)
+        _add_group(mask, at, ray, count, group, scratch)
         for s in range(sums):
             for p in range(len(group)):
                 out[s, 0, group[p]] = total[s, 0, p]
+    release(memory)
 
 
 @fast_jit
-def _add_group(mask, at, ray, count, group, total):
-    """Add the sums of the points ``group`` (n,), at most POINT_GROUP, to ``total``."""
-    real = mask.dtype.type
-    texels, next_row, one = mask.reshape(-1), np.uint64(mask.shape[1]), np.uint64(1)
+def _add_group(mask, at, ray, count, group, scratch):
+    """Add the sums of the points ``group`` (n,), at most POINT_GROUP, to ``scratch.total``."""
+    real, total = mask.dtype.type, scratch.total
+    texels = array_at(np.int64(mask.ctypes.data), real, (mask.size,))
+    next_row, one = np.uint64(mask.shape[1]), np.uint64(1)
     light_x, light_y, ratio, step, lag = _doubles(ray)
     last_row, last_column = mask.shape[0] - 3.0, mask.shape[1] - 4.0
-    x, y = np.empty(POINT_GROUP), np.empty(POINT_GROUP)
-    texel = np.empty(POINT_GROUP, np.uint64)
-    across, down = np.empty(POINT_GROUP, mask.dtype), np.empty(POINT_GROUP, mask.dtype)
+    x, y, texel = scratch.point[0], scratch.point[1], scratch.texel
+    across, down = scratch.part[0], scratch.part[1]
     for p in range(POINT_GROUP):
         point = group[min(p, len(group) - 1)]
         x[p], y[p] = at[0, point], at[1, point]
@@ -322,14 +386,3 @@ def _points_single(frame):
 
 def _points_double(frame):
     return _points(frame, np.float64)
-
-
-STRIP_CALLS = declare(
-    "godfit",
-    {
-        ("picture", False): _picture_single,
-        ("picture", True): _picture_double,
-        ("points", False): _points_single,
-        ("points", True): _points_double,
-    },
-)
