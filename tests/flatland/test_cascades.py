@@ -1,5 +1,6 @@
 """Radiance cascades against the distance march of many rays."""
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from tests.support import flatland_oracle as oracle
 SKY = Sky(70.0, 50.0, (0.9, 0.8, 0.5), (0.1, 0.2, 0.4))
 
 
+rendered = eqx.filter_jit(render)
 cascades = jax.jit(ways.cascades, static_argnames=("rays", "spacing"))
 
 
@@ -28,13 +30,13 @@ def test_nothing_drawn_is_the_mean_of_the_sky(size):
 @pytest.mark.parametrize("size", [(48, 64), (64, 40)])
 def test_more_rays_are_nearer_to_the_march(size):
     made = canvas(*oracle.random_canvas(size, 3, share=0.01, partial=False))
-    exact = np.asarray(render(made, SKY, rays=1024))
+    exact = np.asarray(rendered(made, SKY, rays=1024))
     clear = (1 - np.asarray(made.opacity))[..., None]
     errors = [
         rms(np.asarray(made.radiance + clear * cascades(made, SKY, rays=rays)), exact)
         for rays in (4, 16)
     ]
-    one = render(made, SKY, rays=4, method="cascades")
+    one = rendered(made, SKY, rays=4, method="cascades")
     assert rms(np.asarray(one), exact) == pytest.approx(errors[0])
     assert errors[0] < 0.08
     assert errors[1] < 0.5 * errors[0]
@@ -52,7 +54,7 @@ def test_light_does_not_leak_through_a_wall():
 
 def test_probes_apart_are_read_between():
     made = canvas(*oracle.random_canvas((50, 66), 4, share=0.005, partial=False))
-    exact = np.asarray(render(made, SKY, rays=1024))
+    exact = np.asarray(rendered(made, SKY, rays=1024))
     clear = np.asarray(made.opacity) == 0
     found = np.asarray(cascades(made, SKY, rays=8, spacing=2.0))
     assert found.shape == (50, 66, 3)

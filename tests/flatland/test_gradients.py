@@ -16,13 +16,13 @@ METHODS = {"distance": {}, "march": {"steps": 40}}
 
 
 def canvases():
-    """Ten canvases, hard and soft, square and not."""
+    """Ten canvases, hard and soft, square and not, of four sizes: each is compiled once."""
     return {
         f"{h}x{w}, {seed}": oracle.random_canvas((h, w), seed, share=share)
         for seed, (h, w, share) in enumerate(
             [
-                (16, 16, 0.02), (16, 16, 0.1), (12, 25, 0.05), (25, 12, 0.05), (20, 20, 0.2),
-                (1, 40, 0.05), (8, 31, 0.0), (18, 14, 0.02), (14, 18, 0.4), (15, 15, 0.01),
+                (16, 16, 0.02), (16, 16, 0.1), (12, 25, 0.05), (25, 12, 0.05), (16, 16, 0.2),
+                (1, 40, 0.05), (12, 25, 0.0), (25, 12, 0.02), (12, 25, 0.4), (16, 16, 0.01),
             ]
         )
     }  # fmt: skip
@@ -42,8 +42,12 @@ def test_compiled_derivatives_are_those_of_the_plain_walk(method, jitter):
             return render(made, sky, rays=6, method=method, jitter=jitter, exposure=exposure,
                           plain=plain, **METHODS[method])  # fmt: skip
 
-        _, forward = jax.jvp(picture, where, move)
-        return forward, jax.vjp(picture, *where)[1](pull)
+        @jax.jit
+        def slopes(where, move, pull):
+            _, forward = jax.jvp(picture, where, move)
+            return forward, jax.vjp(picture, *where)[1](pull)
+
+        return slopes(where, move, pull)
 
     found, expected = of(False), of(True)
     for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
@@ -52,6 +56,19 @@ def test_compiled_derivatives_are_those_of_the_plain_walk(method, jitter):
 
 
 SKY_NUMBERS = ("angle", "width", "sun", "sky")
+
+
+def squares(z, made, ways, weight, rays):
+    """The weighted sum of squares of a picture whose parts are moved by ``z`` (7,)."""
+    sky = Sky(SKY.angle + 60 * z[1], SKY.width + 20 * z[2], SKY.sun * (1 + z[3]),
+              SKY.sky * (1 + z[4]))  # fmt: skip
+    held = Canvas(made.radiance + z[5] * ways["emission"], made.opacity + z[6] * ways["opacity"])
+    image = render(held, sky, rays=rays, exposure=1 + z[0])
+    return (weight * image**2).sum()
+
+
+many = jax.jit(squares, static_argnames="rays")
+few = jax.jit(jax.grad(squares), static_argnames="rays")
 
 
 @pytest.mark.parametrize("drawn", canvases().values(), ids=canvases())
@@ -69,23 +86,12 @@ def test_against_central_differences_of_more_rays(drawn):
         - jnp.asarray(rng.uniform(0, 1, made.size) * (np.asarray(made.opacity) > 0)),
     }
     parts = {"exposure": 0, "angle": 1, "width": 2, "sun": 3, "sky": 4, "emission": 5, "opacity": 6}
-
-    def loss(z, rays):
-        sky = Sky(SKY.angle + 60 * z[1], SKY.width + 20 * z[2], SKY.sun * (1 + z[3]),
-                  SKY.sky * (1 + z[4]))  # fmt: skip
-        held = Canvas(
-            made.radiance + z[5] * ways["emission"], made.opacity + z[6] * ways["opacity"]
-        )
-        image = render(held, sky, rays=rays, exposure=1 + z[0])
-        return (weight * image**2).sum()
-
-    many, few = jax.jit(loss, static_argnums=1), jax.jit(jax.grad(loss), static_argnums=1)
     z = jnp.zeros(7)
-    found = few(z, 768)
+    found = few(z, made, ways, weight, rays=768)
     for name, i in parts.items():
         h = 1e-4
         # One-sided where there is only one side, of second order.
-        there = [many(z.at[i].set(s * h), 1021) for s in (0, 1, 2)]
+        there = [many(z.at[i].set(s * h), made, ways, weight, rays=1021) for s in (0, 1, 2)]
         expected = float((-3 * there[0] + 4 * there[1] - there[2]) / (2 * h))
         if abs(expected) < 1e-9:
             assert abs(found[i]) < 1e-9
@@ -115,7 +121,7 @@ def test_shapes_that_move(kind):
         image = render(Drawing((moved, BESIDE), size).drawn(), SKY, rays=rays)
         return (weight * image).sum()
 
-    gradient = jax.jit(jax.grad(loss), static_argnums=1)(shape.numbers, 512)
+    gradient = jax.jit(jax.grad(loss), static_argnums=1)(shape.numbers, 384)
     value = jax.jit(loss, static_argnums=1)
     largest = max(float(jnp.abs(g).max()) for n, g in gradient.items() if n != "angle")
     for name, slope in gradient.items():
@@ -124,7 +130,7 @@ def test_shapes_that_move(kind):
 
             def at(by, name=name, index=index):
                 moved = shape.numbers | {name: shape.numbers[name].at[index].add(by)}
-                return value(moved, 1536)
+                return value(moved, 768)
 
             expected = (at(h) - at(-h)) / (2 * h)
             scale = largest if name != "angle" else abs(expected)

@@ -131,7 +131,7 @@ def test_one_row_or_column_is_exact(axis):
 
 
 # A few shapes, since every new one is compiled.
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=80)
 @given(
     st.sampled_from([(1, 1), (1, 6), (9, 1), (5, 8), (8, 8), (11, 7)]).flatmap(
         lambda shape: arrays(bool, shape)

@@ -1,5 +1,6 @@
 """Hoffman and Preetham behind occluders: image against formulas, derivatives, fit."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +11,7 @@ from godfit.models.atmosphere import Air
 from godfit.models.hoffman_preetham import HoffmanPreetham, View
 from tests.support import daylight_targets, random_targets
 
-SAMPLES = daylight_targets.SAMPLES
+SIZE, SAMPLES = daylight_targets.SIZE, daylight_targets.SAMPLES
 
 
 def model_of(view, truth):
@@ -19,10 +20,15 @@ def model_of(view, truth):
     return HoffmanPreetham(air, light, View(view["distance"], view["fov"]), SAMPLES)
 
 
+@eqx.filter_jit
+def render(model, *images, **options):
+    return model(*images, **options)
+
+
 @pytest.mark.parametrize("kind", daylight_targets.KINDS)
 def test_image_is_that_of_the_formulas(kind):
     view, image, truth = daylight_targets.draw(3, kind)
-    found = model_of(view, truth)(jnp.asarray(view["mask"]))
+    found = render(model_of(view, truth), jnp.asarray(view["mask"]))
     np.testing.assert_allclose(found, image, rtol=1e-6, atol=1e-6 * image.max())
 
 
@@ -30,17 +36,19 @@ def test_some_pixels_are_those_of_the_whole_image():
     view, _, truth = daylight_targets.draw(4, "bars")
     model, mask = model_of(view, truth), jnp.asarray(view["mask"])
     back = jnp.asarray(np.random.default_rng(0).uniform(0, 0.5, mask.shape))
-    pixels = jnp.array([0, 17, 4000, 192 * 192 - 1])
-    whole = model(mask, back).reshape(-1, 3)
-    np.testing.assert_allclose(model(mask, back, pixels=pixels), whole[pixels], rtol=1e-9)
+    pixels = jnp.array([0, 17, 4000, SIZE**2 - 1])
+    whole = render(model, mask, back).reshape(-1, 3)
+    some = render(model, mask, back, pixels=pixels)
+    np.testing.assert_allclose(some, whole[pixels], rtol=1e-9)
 
 
 def test_background_is_seen_through_the_air():
     view, _, truth = daylight_targets.draw(4, "bars")
     model, mask = model_of(view, truth), jnp.ones((8, 8))
-    lit = model(mask, jnp.full((8, 8), 0.5)) - model(mask)
+    lit = render(model, mask, jnp.full((8, 8), 0.5)) - render(model, mask)
     # Distances are read from the nearest of their own pixels.
-    away = np.asarray(view["distance"])[np.arange(8) * 24][:, np.arange(8) * 24]
+    each = np.arange(8) * (SIZE // 8)
+    away = np.asarray(view["distance"])[each][:, each]
     np.testing.assert_allclose(lit, 0.5 * model.air.transmitted(jnp.asarray(away)), rtol=1e-6)
 
 
@@ -48,8 +56,9 @@ def test_upsampled_pass_keeps_full_distances():
     view, _, truth = daylight_targets.draw(5, "ridges")
     model = model_of(view, truth)
     # Through an open mask the light depends on nothing but the distance.
-    upsampled = np.asarray(model(jnp.ones((96, 96)), size=(192, 192)))
-    np.testing.assert_allclose(upsampled, model(jnp.ones((192, 192))), rtol=1e-9)
+    upsampled = np.asarray(render(model, jnp.ones((SIZE // 2, SIZE // 2)), size=(SIZE, SIZE)))
+    whole = render(model, jnp.ones((SIZE, SIZE)))
+    np.testing.assert_allclose(upsampled, whole, rtol=1e-9)
     low = np.repeat(np.repeat(view["distance"][::2, ::2], 2, axis=0), 2, axis=1)
     assert (low != view["distance"]).any()
 
@@ -65,8 +74,8 @@ def test_derivatives_are_those_of_differences():
         return (weights * model.moved(z)(mask)).sum()
 
     z = model.coordinates()
-    slope = jax.grad(mean)(z)
-    forward = jax.jacfwd(mean)(z)
+    slope = jax.jit(jax.grad(mean))(z)
+    forward = jax.jit(jax.jacfwd(mean))(z)
     np.testing.assert_allclose(slope, forward, rtol=1e-9)
     for i in range(6):
         # A bilinear mask has kinks in the light: its step is smaller than their distance.
@@ -119,7 +128,7 @@ def test_a_grey_picture_has_three_channels():
         grey, mask=view["mask"], model="hoffman-preetham", fov=60.0, distance=1.0, samples=SAMPLES
     )
     assert result.picture.channels == 3
-    assert result.render().shape == (192, 192, 3)
+    assert result.render().shape == (SIZE, SIZE, 3)
 
 
 @pytest.mark.parametrize(

@@ -144,7 +144,7 @@ def test_half_resolution_is_jax_linear_resize(mask):
     np.testing.assert_allclose(render(bright, mask, size=size), expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize("size", [(22, 26), (25, 31), (12, 13), (47, 64)])
+@pytest.mark.parametrize("size", [(22, 26), (25, 31), (12, 13)])
 @pytest.mark.parametrize("mask", [MASK, COLOURS], ids=["grey", "colour"])
 def test_upsampling_is_a_texture_read(mask, size):
     """Also at odd ratios: the light pass at the mask's size, clamped as its 8-bit texture is, then
@@ -154,8 +154,11 @@ def test_upsampling_is_a_texture_read(mask, size):
     np.testing.assert_allclose(render(bright, mask, size=size), expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize("background", [None, "grey", "colour"])
-@pytest.mark.parametrize("mask", [MASK, COLOURS], ids=["grey", "colour"])
+@pytest.mark.parametrize(
+    ("mask", "background"),
+    [(MASK, None), (COLOURS, "grey"), (MASK, "colour"), (COLOURS, "colour")],
+    ids=["grey", "colour on grey", "grey on colour", "colour on colour"],
+)
 @pytest.mark.parametrize("size", [(11, 13), (25, 31)], ids=["full", "upsampled"])
 def test_pixels_are_those_of_the_whole_image(size, mask, background):
     """A few pixels and many take different ways when the pass is smaller than the image."""
@@ -174,7 +177,7 @@ def test_pixels_are_those_of_the_whole_image(size, mask, background):
 
 
 @pytest.mark.parametrize("mask", [MASK, COLOURS], ids=["grey", "colour"])
-@pytest.mark.parametrize("size", [(22, 26), (25, 31), (47, 64)])
+@pytest.mark.parametrize("size", [(25, 31), (47, 64)])
 def test_texels_are_read_once(size, mask, monkeypatch):
     """A block of neighbours, from the texels that it needs, is that of the whole image."""
     monkeypatch.setattr(upsample, "POINT_COST", 0)

@@ -1,6 +1,7 @@
 """Scenes in the fit: masks as the target has them, and what of the scene is free."""
 
 import dataclasses
+import functools
 
 import equinox as eqx
 import jax
@@ -20,6 +21,8 @@ from godfit.search import edge_pixels, placement
 from tests.support import random_targets
 
 SIZE, SAMPLES = 96, 40
+# No other size of the pass is tried, nor the reason of a wrong answer asked for.
+ALONE = {"inquire": False, "pass_scale": 1.0}
 TRUTH = {"exposure": 0.1, "decay": 0.965, "density": 0.85, "weight": 0.6, "samples": SAMPLES}
 
 
@@ -65,7 +68,7 @@ def test_scene_alone_gives_what_its_mask_gives(antialias):
     scene = stage()
     mask = drawn_mask(scene, antialias)
     image, truth = target(scene, mask)
-    by_scene = godfit.fit(image, scene=scene, shader="dawntime", samples=SAMPLES)
+    by_scene = godfit.fit(image, scene=scene, shader="dawntime", samples=SAMPLES, **ALONE)
     assert by_scene.converged, by_scene.message
     # Hard or smooth was told from the picture.
     np.testing.assert_array_equal(by_scene.picture.mask, mask)
@@ -90,7 +93,7 @@ def test_edge_pixels_fall_as_the_target_has_them():
     """Six edge pixels of the hard mask on the other side, as another renderer may draw them."""
     scene, mask, other = six_flipped()
     image, truth = target(scene, other)
-    result = godfit.fit(image, scene=scene, shader="dawntime", samples=SAMPLES)
+    result = godfit.fit(image, scene=scene, shader="dawntime", samples=SAMPLES, **ALONE)
     wrong = (mask != other).sum()
     assert wrong == 6
     assert (result.picture.mask != other).sum() <= 1
@@ -98,20 +101,27 @@ def test_edge_pixels_fall_as_the_target_has_them():
     assert abs(result.params["decay"].value - truth["decay"]) < 1e-3
 
 
+@pytest.fixture
+def host():
+    """Changes what no compiled program holds: without ``monkeypatch``, stored ones serve."""
+    with pytest.MonkeyPatch.context() as patch:
+        yield patch
+
+
 @pytest.mark.usefixtures("single_precision")
-def test_edge_pixels_that_explain_the_target_worse_stay(monkeypatch):
+def test_edge_pixels_that_explain_the_target_worse_stay(host):
     scene, mask, other = six_flipped()
     edges = edge_pixels._UncertainEdges
-    monkeypatch.setattr(edges, "settled", lambda self, problem, z: other[..., None])
+    host.setattr(edges, "settled", lambda self, problem, z: other[..., None])
     image, _ = target(scene, mask)
-    result = godfit.fit(image, scene=scene, shader="dawntime", samples=SAMPLES)
+    result = godfit.fit(image, scene=scene, shader="dawntime", samples=SAMPLES, **ALONE)
     np.testing.assert_array_equal(result.picture.mask, mask)
     assert result.noise_levels < 0.02
 
 
 @pytest.mark.usefixtures("single_precision")
-def test_light_and_object_are_found_again(monkeypatch):
-    monkeypatch.setattr(placement, "PLACEMENTS", 30)
+def test_light_and_object_are_found_again(host):
+    host.setattr(placement, "PLACEMENTS", 30)
     scene = stage()
     image, truth = target(scene, drawn_mask(scene, True))
     start = scene.replaced(
@@ -121,7 +131,7 @@ def test_light_and_object_are_found_again(monkeypatch):
         }
     )
     free = ("light.position", "object[0].position")
-    result = godfit.fit(image, scene=start, free=free, shader="dawntime", samples=SAMPLES)
+    result = godfit.fit(image, scene=start, free=free, shader="dawntime", samples=SAMPLES, **ALONE)
     assert result.converged, result.message
     assert list(result.params)[4:] == [f"{name}.{axis}" for name in free for axis in "xyz"]
     for name in free:
@@ -148,8 +158,11 @@ def test_derivatives_of_the_picture_by_the_scene():
     y, x = np.mgrid[:48, :48] / 48
     weight = jnp.asarray(np.sin(5 * x + 2) * np.cos(4 * y + 1) + x)
 
+    # As in scenes/test_raster.py: optimised code would take longer to make than it saves.
+    compiled = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+
     # The mask is rounded to bytes, which only differences of the unrounded one can follow.
-    @jax.jit
+    @compiled
     def smooth(z):
         at = model.moved(z, held)
         lit = eqx.tree_at(lambda m: m.light, at.shading, at.light)
@@ -159,7 +172,7 @@ def test_derivatives_of_the_picture_by_the_scene():
         return (model.moved(z, held)(jnp.zeros((48, 48))) * weight).sum()
 
     z = model.coordinates()
-    slope = np.asarray(jax.jit(jax.grad(picture))(z))
+    slope = np.asarray(compiled(jax.grad(picture))(z))
     for i in range(len(z)):
         step = np.zeros(14)
         step[i] = 1e-4

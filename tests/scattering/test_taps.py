@@ -134,7 +134,7 @@ def test_vesper_is_mitchell_with_a_sample_less_and_a_shorter_ray():
 def test_babylon_is_mitchell_at_two_fifths_on_a_brighter_background():
     background = np.random.default_rng(1).random(MASK.shape)
     babylon = Mitchell(0.5, 0.9, 0.8, 0.6, LIGHT, "babylon", 20)
-    together = babylon(jnp.asarray(MASK), jnp.asarray(background))
+    together = eqx.filter_jit(babylon)(jnp.asarray(MASK), jnp.asarray(background))
     apart = render("mitchell", 0.4 * 0.5, 0.9, 0.8, 0.6, 20) + 1.1 * background
     np.testing.assert_allclose(together, apart, rtol=1e-13)
 

@@ -1,5 +1,6 @@
 """The radial sum: the reference against scipy's interpolation, the other methods against it."""
 
+import functools
 import importlib
 
 import jax
@@ -50,12 +51,16 @@ class TestEveryMaskAndLight:
         expected = radial_sum(mask, light, TAPS, method="reference")
         agree(radial_sum(mask, light, TAPS, method=method), expected, 1e-12)
 
-    @pytest.mark.parametrize("method", ["reference", "pairs", "strips"])
-    def test_float32(self, mask, light, method):
-        expected = radial_sum(jnp.asarray(mask), jnp.array(light), TAPS, method="reference")
-        single = radial_sum(jnp.asarray(mask, jnp.float32), jnp.array(light), TAPS, method=method)
-        assert single.dtype == jnp.float32
-        agree(single, expected, 1e-5)
+
+@pytest.mark.parametrize("light", oracle.LIGHTS.values(), ids=oracle.LIGHTS)
+@pytest.mark.parametrize("mask", ["random", "hard", "row", "single texel"])
+@pytest.mark.parametrize("method", ["reference", "pairs", "strips"])
+def test_float32(mask, light, method):
+    mask = MASKS[mask]
+    expected = radial_sum(jnp.asarray(mask), jnp.array(light), TAPS, method="reference")
+    single = radial_sum(jnp.asarray(mask, jnp.float32), jnp.array(light), TAPS, method=method)
+    assert single.dtype == jnp.float32
+    agree(single, expected, 1e-5)
 
 
 @pytest.mark.parametrize("method", ["reference", "pairs", "strips"])
@@ -97,6 +102,17 @@ def test_taps_beyond_the_light(method, light, taps):
         assert off.max() < 2e-5
 
 
+@functools.partial(jax.jit, static_argnames="method")
+def sum_and_slopes(numbers, mask, at, method):
+    """The sum at points, and its derivatives by the light and the taps' four numbers."""
+
+    def summed(numbers):
+        taps = Taps(*numbers[2:], TAPS.count)
+        return radial.radial_sum(mask, numbers[:2], taps, at=at, method=method)
+
+    return summed(numbers), jax.jacfwd(summed)(numbers)
+
+
 @pytest.mark.parametrize("light", oracle.LIGHTS.values(), ids=oracle.LIGHTS)
 def test_taps_that_read_a_dark_border_add_nothing(light):
     """Points in and far off a mask, most of whose rays miss what is not dark: sums and their
@@ -106,18 +122,12 @@ def test_taps_that_read_a_dark_border_add_nothing(light):
     rng = np.random.default_rng(1)
     at = jnp.asarray(rng.uniform((-30, -30), (90, 70), (300, 2)))
     numbers = jnp.array([*light, TAPS.own, TAPS.first, TAPS.ratio, TAPS.step])
-
-    def summed(numbers, method):
-        taps = Taps(*numbers[2:], TAPS.count)
-        return radial.radial_sum(jnp.asarray(mask), numbers[:2], taps, at=at, method=method)
-
-    def both(method):
-        derivative = jax.jacfwd(lambda n: summed(n, method))
-        return jax.jit(lambda n: (summed(n, method), derivative(n)))(numbers)
-
-    for found, expected in zip(both("strips"), both("reference"), strict=True):
-        assert np.count_nonzero(expected) > 20
-        agree(found, expected, 1e-12 * np.abs(expected).max())
+    found, expected = (
+        sum_and_slopes(numbers, jnp.asarray(mask), at, method) for method in ("strips", "reference")
+    )
+    for actual, right in zip(found, expected, strict=True):
+        assert np.count_nonzero(right) > 20
+        agree(actual, right, 1e-12 * np.abs(right).max())
 
 
 @pytest.mark.parametrize("method", ["reference", "pairs", "strips"])
@@ -133,6 +143,17 @@ def test_whole_pixels_are_met_exactly(method):
     )
 
 
+@functools.partial(jax.jit, static_argnames="method")
+def row_and_slopes(light, ratio, mask, at, method):
+    """The sum of 40 taps at points, and its derivatives by the light and the ratio."""
+
+    def image(light, ratio):
+        taps = Taps(0.3, 0.21, ratio, 0.0239, 40)
+        return radial.radial_sum(mask, light, taps, at=at, method=method)
+
+    return image(light, ratio), *jax.jacfwd(image, (0, 1))(light, ratio)
+
+
 @pytest.mark.parametrize("light", oracle.LIGHTS.values(), ids=oracle.LIGHTS)
 def test_points_in_a_row(light):
     """Runs shorter and longer than a tile, on and between rows, over the border, among others."""
@@ -141,35 +162,31 @@ def test_points_in_a_row(light):
     runs = [(0, 160, 3.0), (10, 31, 4.0), (-3, 40, 4.0), (20.25, 70, 20.5), (100, 64, 39.0)]
     at = [np.stack([start + np.arange(n), np.full(n, row)], -1) for start, n, row in runs]
     at = jnp.asarray(np.concatenate([at[0], rng.uniform(0, 40, (7, 2)), *at[1:]]))
-    taps = Taps(0.3, 0.21, 0.93, 0.0239, 40)
-
-    def image(light, ratio, method):
-        changed = Taps(taps.own, taps.first, ratio, taps.step, taps.count)
-        return radial_sum(jnp.asarray(mask), light, changed, at=at, method=method)
-
-    def everything(method):
-        arguments = jnp.array(light), jnp.asarray(taps.ratio)
-        slopes = jax.jacfwd(image, (0, 1))(*arguments, method)
-        return image(*arguments, method), *slopes
-
-    for actual, expected in zip(everything("strips"), everything("reference"), strict=True):
-        agree(actual, expected, 1e-11 * np.abs(expected).max())
+    found, expected = (
+        row_and_slopes(jnp.array(light), jnp.asarray(0.93), jnp.asarray(mask), at, method)
+        for method in ("strips", "reference")
+    )
+    for actual, right in zip(found, expected, strict=True):
+        agree(actual, right, 1e-11 * np.abs(right).max())
 
 
-@pytest.mark.parametrize("block", [10, 143, 144])
+@pytest.mark.parametrize("block", [10, 13])
 def test_pairs_beyond_one_block(monkeypatch, block):
-    """Blocks that do and do not divide the 143 points, in value and derivative."""
+    """Blocks that do not and that do divide the 143 points, in value and derivative."""
     mask, light = jnp.asarray(MASKS["random"]), jnp.array([0.2, 1.3])
     at = jnp.asarray(AT[:5])
 
     def everything(light):
-        # Not the jitted one: its cache would not notice that POINTS_PER_BLOCK has changed.
         whole = radial.radial_sum(mask, light, TAPS, method="pairs")
         return whole, radial.radial_sum(mask, light, TAPS, at=at, method="pairs")
 
-    expected = everything(light), jax.jacfwd(everything)(light)
+    def compiled():
+        # A function of its own: no cache would notice that POINTS_PER_BLOCK has changed.
+        return jax.jit(lambda light: (everything(light), jax.jacfwd(everything)(light)))(light)
+
+    expected = compiled()
     monkeypatch.setattr(pairs_module, "POINTS_PER_BLOCK", block)
-    actual = everything(light), jax.jacfwd(everything)(light)
+    actual = compiled()
     jax.tree.map(lambda a, e: agree(a, e, 1e-13), actual, expected)
 
 
