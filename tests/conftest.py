@@ -126,8 +126,9 @@ LONG = (
 )  # fmt: skip
 
 
-# Whole fits of bare pictures, photographs, light in the plane, caches and data_synthetic: files, or
-# folders of them, that ``-m "not slow"`` leaves out.
+# Whole fits of bare pictures, photographs, light in the plane, caches and data_synthetic, and what
+# else takes seconds for one answer: files, folders of them, or single tests of a file, that
+# ``-m "not slow"`` leaves out.
 SLOW = (
     "blind", "blind_pairs/test_two_screenshots.py", "search/test_suspects.py",
     "flatland/test_fitting.py", "flatland/test_gradients.py", "flatland/test_published.py",
@@ -144,13 +145,15 @@ SLOW = (
 
 def pytest_collection_modifyitems(items):
     tests = Path(__file__).parent
-    slow = [tests / name for name in SLOW]
-    absent = [str(path) for path in slow if not path.exists()]
+    slow = [(tests / place, test) for place, _, test in (name.partition("::") for name in SLOW)]
+    absent = [str(path) for path, _ in slow if not path.exists()]
     if absent:
         raise pytest.UsageError(f"SLOW: expected files or folders of tests, got {absent}")
     for item in items:
-        if any(path == item.path or path in item.path.parents for path in slow):
-            item.add_marker(pytest.mark.slow)
+        for path, test in slow:
+            whole = not test and path in (item.path, *item.path.parents)
+            if whole or (path == item.path and item.originalname == test):
+                item.add_marker(pytest.mark.slow)
     place = {tests / f"{name}.py": i for i, name in enumerate(LONG)}
     missing = [str(path) for path in place if not path.is_file()]
     if missing:
@@ -184,16 +187,29 @@ def programs(request):
         jax.clear_caches()
 
 
-@pytest.fixture(autouse=True)
-def own_programs(request):
-    """A test that changes functions must not leave programs of them to others."""
-    if "monkeypatch" not in request.fixturenames:
-        yield
-        return
-    cache = importlib.import_module("godfit.runtime.program_cache")
-    folder, cache._folder = cache._folder, None
-    yield
-    cache._folder = folder
+# Rooms of which no function is part of a compiled program, apart from their own ``jit``: what a
+# test replaces in them leaves no other program behind.
+UNCOMPILED = ("commands", "studies", "report", "io", "fitting", "blind")
+
+
+class Patch(pytest.MonkeyPatch):
+    """Programs are neither stored nor loaded once a function is replaced that may be part of one: a
+    test that changes functions must not leave programs of them to others."""
+
+    def setattr(self, target, *rest, **options):
+        module = target if isinstance(target, str) else getattr(target, "__module__", None)
+        place = (module or target.__name__).split(".")
+        if place[0] == "godfit" and place[1] not in UNCOMPILED:
+            cache = importlib.import_module("godfit.runtime.program_cache")
+            super().setattr(cache, "_folder", None)
+        super().setattr(target, *rest, **options)
+
+
+@pytest.fixture
+def monkeypatch():
+    patch = Patch()
+    yield patch
+    patch.undo()
 
 
 @pytest.fixture
