@@ -90,6 +90,8 @@ sys.modules |= compiled
 install_import_hook("godfit", "beartype.beartype")
 # A worker's heap is large, and giving it back after every program is compiled takes 1% of the time.
 importlib.import_module("godfit.runtime.malloc").TRIM_AFTER_SECONDS = math.inf
+# What is loaded by now stays, and need not be looked through either.
+gc.freeze()
 # What a command prints must not depend on the machine's speed.
 importlib.import_module("godfit.commands.progress").QUIET_SECONDS = threading.TIMEOUT_MAX
 
@@ -119,22 +121,25 @@ for module, name in (("result", "fit_record"), ("clip", "_record")):
 # one of these comes last, and half of the cores wait for it. The first two compile different
 # functions: what both need at once is compiled twice.
 LONG = (
-    "flatland/test_fitting", "test_synthetic_fits", "models/test_staged", "blind/test_search",
-    "test_problem", "blind_pairs/test_two_screenshots", "search/test_conventions",
-    "search/test_suspects", "report/test_live", "test_public_names", "test_convention_fits",
-    "studies/test_profile_likelihood", "test_data_synthetic", "studies/test_compare",
-    "runtime/test_cache", "commands/test_command_line", "commands/test_batch",
-    "studies/batch/test_engine", "inference/test_indirect_inference",
-    "flatland/test_gradients", "models/test_disc_kernel", "flatland/test_published",
-    "test_fitting", "flatland/test_rendering",
+    "flatland/test_fitting", "test_fitting", "models/test_staged", "blind/test_search",
+    "search/test_conventions", "studies/test_compare", "commands/test_command_line",
+    "test_problem", "studies/test_profile_likelihood", "search/test_suspects",
+    "test_data_synthetic", "blind_pairs/test_two_screenshots", "test_stability",
+    "inference/test_indirect_inference", "report/test_live", "test_synthetic_fits",
+    "runtime/test_cache", "studies/batch/test_engine", "flatland/test_gradients",
+    "models/test_disc_kernel", "runtime/test_guest", "test_public_names",
+    "test_convention_fits", "commands/test_batch", "flatland/test_published",
+    "flatland/test_rendering",
 )  # fmt: skip
 
 
-# Whole fits of bare pictures, photographs, light in the plane, caches and data_synthetic: files, or
-# folders of them, that ``-m "not slow"`` leaves out.
+# Whole fits of bare pictures, photographs, light in the plane, caches and data_synthetic, and what
+# else takes seconds for one answer: files, folders of them, or single tests of a file, that
+# ``-m "not slow"`` leaves out.
 SLOW = (
     "blind", "blind_pairs/test_two_screenshots.py", "search/test_suspects.py",
     "flatland/test_fitting.py", "flatland/test_gradients.py", "flatland/test_published.py",
+    "flatland/test_rendering.py", "flatland/test_cascades.py", "flatland/test_jump_flood.py",
     "runtime/test_cache.py", "runtime/test_program_cache.py", "test_data_synthetic.py",
     "test_synthetic_fits.py", "test_stability.py", "test_lmfit.py", "test_experiments.py",
     "test_problem.py",
@@ -142,19 +147,39 @@ SLOW = (
     "studies/test_select.py", "studies/test_profile_likelihood.py",
     "inference/test_indirect_inference.py", "inference/test_diagnostics.py",
     "commands/test_command_line.py", "commands/test_batch.py", "studies/batch/test_engine.py",
-    "models/test_disc_kernel.py",
+    "models/test_disc_kernel.py", "models/test_volume.py", "models/test_hoffman_preetham.py",
+    "inference/test_arithmetic.py", "scattering/test_gradients.py",
+    "scattering/radial/test_methods.py", "scattering/radial/test_radial.py",
+    "scenes/test_raster.py", "test_convention_fits.py", "runtime/test_guest.py",
+    "blind_pairs/test_rays.py",
+    "search/test_conventions.py::test_the_shader_is_found_and_ties_are_named",
+    "search/test_conventions.py::"
+    "test_another_shader_or_number_is_not_converged_and_names_what_is_right",
+    "search/test_registration.py::test_a_cropped_target_is_fitted_with_a_note",
+    "report/test_figures.py::test_no_text_is_cut_or_overlaps_another",
+    "test_fitting.py::test_a_light_pass_of_half_the_size_is_found",
+    "test_fitting.py::test_a_light_pass_of_the_mask_s_size_is_kept",
+    "test_fitting.py::test_box_passes_are_found",
+    "test_fitting.py::test_box_passes_are_not_searched_for_in_a_sum_along_rays",
+    "test_fitting.py::test_constant_target_and_white_mask_are_no_error",
+    "test_fitting.py::test_quoted_errors_cover",
+    "test_fitting.py::test_tiny_images",
+    "test_fitting.py::test_two_lights_in_a_picture_of_one_are_said_to_be_one",
+    "test_fitting.py::test_values_that_many_pixels_share_at_an_end_are_clipped",
 )  # fmt: skip
 
 
 def pytest_collection_modifyitems(items):
     tests = Path(__file__).parent
-    slow = [tests / name for name in SLOW]
-    absent = [str(path) for path in slow if not path.exists()]
+    slow = [(tests / place, test) for place, _, test in (name.partition("::") for name in SLOW)]
+    absent = [str(path) for path, _ in slow if not path.exists()]
     if absent:
         raise pytest.UsageError(f"SLOW: expected files or folders of tests, got {absent}")
     for item in items:
-        if any(path == item.path or path in item.path.parents for path in slow):
-            item.add_marker(pytest.mark.slow)
+        for path, test in slow:
+            whole = not test and path in (item.path, *item.path.parents)
+            if whole or (path == item.path and item.originalname == test):
+                item.add_marker(pytest.mark.slow)
     place = {tests / f"{name}.py": i for i, name in enumerate(LONG)}
     missing = [str(path) for path in place if not path.is_file()]
     if missing:
@@ -188,16 +213,29 @@ def programs(request):
         jax.clear_caches()
 
 
-@pytest.fixture(autouse=True)
-def own_programs(request):
-    """A test that changes functions must not leave programs of them to others."""
-    if "monkeypatch" not in request.fixturenames:
-        yield
-        return
-    cache = importlib.import_module("godfit.runtime.program_cache")
-    folder, cache._folder = cache._folder, None
-    yield
-    cache._folder = folder
+# Rooms of which no function that a test replaces is part of a compiled program: none is left
+# behind that others must not have. Tests of the stores, in ``runtime``, have stores of their own.
+UNCOMPILED = ("commands", "studies", "report", "io", "fitting", "blind", "runtime")
+
+
+class Patch(pytest.MonkeyPatch):
+    """Programs are neither stored nor loaded once a function is replaced that may be part of one: a
+    test that changes functions must not leave programs of them to others."""
+
+    def setattr(self, target, *rest, **options):
+        module = target if isinstance(target, str) else getattr(target, "__module__", None)
+        place = (module or target.__name__).split(".")
+        if place[0] == "jax" or (place[0] == "godfit" and place[1] not in UNCOMPILED):
+            cache = importlib.import_module("godfit.runtime.program_cache")
+            super().setattr(cache, "_folder", None)
+        super().setattr(target, *rest, **options)
+
+
+@pytest.fixture
+def monkeypatch():
+    patch = Patch()
+    yield patch
+    patch.undo()
 
 
 @pytest.fixture

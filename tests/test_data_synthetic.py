@@ -4,6 +4,7 @@ import json
 import re
 import tomllib
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -142,6 +143,11 @@ def test_scene_side_file_agrees_with_the_manifest(name):
     }
 
 
+@eqx.filter_jit
+def _reference(model, mask):
+    return model(mask, None, method="reference")
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_scene_has_the_truth_and_gives_mask_and_target(name):
     truth = SCENES[name]
@@ -166,9 +172,7 @@ def test_scene_has_the_truth_and_gives_mask_and_target(name):
     assert (len(np.unique(levels)) > 20) == scene.antialias
 
     model = Mitchell(**settings, light=[light], shader=truth["shader"], samples=truth["samples"])
-    image = np.asarray(
-        jax.jit(lambda m: model(m, None, method="reference"))(jnp.asarray(levels / 255))
-    )
+    image = np.asarray(_reference(model, jnp.asarray(levels / 255)))
     target = _levels(FOLDER / truth["target"])
     apart = np.abs(np.floor(image.clip(0, 1) * 255 + 0.5) - target)
     assert apart.max() <= 1
@@ -204,7 +208,8 @@ def test_scenes_have_the_numbers_of_their_source(name):
         assert scene.background == ((16 if vesper else 17) / 255,) * 3
 
 
-@pytest.mark.parametrize("name", SCENES)
+# Each sequence by one picture: what compiles differs little from one to the next.
+@pytest.mark.parametrize("name", [n for n in SCENES if n.startswith("stage_") or n.endswith("_0")])
 def test_the_light_pass_is_the_composite_without_the_ordinary_pass(name, tmp_path):
     """Through the command line, on a small copy."""
     text = (FOLDER / SCENES[name]["scene"]).read_text()

@@ -14,7 +14,7 @@ from godfit.report.record import remarks
 from godfit.search import multigrid
 from godfit.search.screening import _in_order, light_places
 from tests.support import random_targets
-from tests.support.known_truth import SAMPLES, SIZE, TRUTH, errors, fit, picture
+from tests.support.known_truth import ALONE, SAMPLES, SIZE, TRUTH, errors, fit, picture
 
 
 def test_truth_is_found_from_nothing():
@@ -60,7 +60,7 @@ def test_quoted_errors_cover(noise):
     hold on average; fewer than 39 happen by chance less than once in 1,000 runs."""
     inside, largest = 0, 0.0
     for seed in range(8):
-        result = fit(*picture(seed, noise))
+        result = fit(*picture(seed, noise), **ALONE)
         assert result.converged, (seed, result.message)
         for name, off in errors(result).items():
             stderr = result.params[name].stderr
@@ -115,7 +115,7 @@ def test_fixed_parameters_stay_and_the_rest_follow():
         assert result.params[name].stderr is None, name
     assert errors(result)["exposure"] < 1e-3 * TRUTH["exposure"]
     assert errors(result)["light_y"] < 3e-4
-    wrong = fit(target, mask, fix={"density": 0.5})
+    wrong = fit(target, mask, fix={"density": 0.5}, **ALONE)
     assert wrong.params["density"].value == pytest.approx(0.5)
     assert not wrong.converged
     assert wrong.rmse_levels > 2 * result.rmse_levels
@@ -127,7 +127,7 @@ def test_everything_fixed_is_a_comparison():
     assert all(e.fixed for e in result.params.values())
 
 
-def test_a_start_is_used(monkeypatch):
+def test_a_start_is_used():
     """The climb begins from nowhere else, and the truth is found from there."""
     begun, climb = [], multigrid.climb
 
@@ -135,21 +135,15 @@ def test_a_start_is_used(monkeypatch):
         begun.extend(starts)
         return climb(problem, starts, *rest, **options)
 
-    monkeypatch.setattr(multigrid, "climb", recorded)
-    result = fit(*picture(3), start={"light_x": 0.5, "light_y": 0.6, "density": 0.7})
+    # No compiled program holds this function.
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(multigrid, "climb", recorded)
+        result = fit(*picture(3), start={"light_x": 0.5, "light_y": 0.6, "density": 0.7})
     assert begun
     for start in begun:
         _, _, density, _, *light = start
         np.testing.assert_allclose([density, *light], [0.7, 0.5, 0.6], rtol=1e-6)
     assert errors(result)["density"] < 5e-4
-
-
-def test_only_the_product_is_determined_without_an_own_pixel_tap():
-    target, mask = picture(3)
-    result = fit(target, mask, shader="pmndrs", samples=SAMPLES)
-    assert any("exposure*weight" in sentence for sentence in result.undetermined)
-    assert result.params["exposure"].stderr is None
-    assert result.params["weight"].stderr is None
 
 
 def test_pixels_to_ignore_are_ignored():
@@ -163,13 +157,13 @@ def test_pixels_to_ignore_are_ignored():
     assert result.pixels == valid.sum()
     assert errors(result)["density"] < 5e-4
     assert np.isnan(result.residual[~valid]).all()
-    assert not fit(panel, mask).converged
+    assert not fit(panel, mask, **ALONE).converged
 
 
 def test_wrong_transfer_is_not_called_converged():
     target, mask = picture(3)
     gamma = np.floor(255 * (target / 255) ** (1 / 2.2) + 0.5).astype(np.uint8)
-    result = fit(gamma, mask)
+    result = fit(gamma, mask, **ALONE)
     assert not result.converged
     assert "not noise" in result.message
 
@@ -191,7 +185,7 @@ def test_floats_have_no_interval():
     truth = TRUTH | {"samples": SAMPLES}
     noise = np.random.default_rng(0).normal(0, 0.5 / 255, mask.shape)
     target = (random_targets.render64(mask / 255, truth) + noise).astype(np.float32)
-    result = fit(target, mask)
+    result = fit(target, mask, **ALONE)
     assert result.noise_levels == pytest.approx(0.5, rel=0.05)
     for name, off in errors(result).items():
         stderr = result.params[name].stderr
@@ -208,13 +202,6 @@ def test_constant_target_and_white_mask_are_no_error(value):
     assert result.undetermined
     assert all(np.isfinite(e.value) for e in result.params.values())
     assert result.params["light_x"].stderr is None
-
-
-def test_black_mask_determines_nothing():
-    target, mask = picture(3)
-    result = fit(target, np.zeros_like(mask))
-    assert not result.converged
-    assert all(e.stderr is None for e in result.params.values())
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 5)])
@@ -324,9 +311,11 @@ def test_a_flat_white_area_is_not_clipped():
 )
 def test_what_holds_nothing_is_not_converged(target, mask, words):
     known = picture(3)
-    result = fit(*(a if a is not None else b for a, b in zip((target, mask), known, strict=True)))
+    given = (a if a is not None else b for a, b in zip((target, mask), known, strict=True))
+    result = fit(*given, **ALONE)
     assert not result.converged
     assert re.search(words, result.message)
+    assert mask is None or mask.any() or all(e.stderr is None for e in result.params.values())
 
 
 def test_names_alone_are_held_at_the_defaults():
@@ -426,9 +415,24 @@ def test_box_passes_are_not_searched_for_in_a_sum_along_rays():
     assert "a sum along whole rays" in result.message
 
 
+def test_box_passes_are_found():
+    """From what the reference draws in float64: models/test_mitchell.py has it that this is three's
+    box blurs."""
+    mask = picture(3)[1]
+    model = godfit.Mitchell(0.9, 1.0, 1.0, 1.0, [[0.6, 0.68]], "three")
+    target = random_targets.to_bytes(np.asarray(model(mask / 255, method="reference")))
+    assert len(np.unique(target)) >= 20
+    result = fit(target, mask, shader="three", samples=None)
+    assert result.converged, result.message
+    assert set(result.params) == {"exposure", "light_x", "light_y"}
+    assert result.params["exposure"].value == pytest.approx(0.9, rel=0.03)
+    assert result.params["light_x"].value == pytest.approx(0.6, abs=3e-4)
+    assert result.params["light_y"].value == pytest.approx(0.68, abs=3e-4)
+
+
 def test_two_lights_in_a_picture_of_one_are_said_to_be_one():
     target, mask = picture(3)
-    result = fit(target, mask, lights=2, inquire=False)
+    result = fit(target, mask, lights=2, **ALONE)
     assert not result.converged
     assert "light and light2 are at the same place" in result.message
 
@@ -436,7 +440,7 @@ def test_two_lights_in_a_picture_of_one_are_said_to_be_one():
 def test_notes_and_warnings_have_a_code_and_an_option():
     """A program tells them apart without the words, and the words are sentences all the same."""
     target, mask = picture(3, exposure=0.3)
-    result = fit(np.minimum(target, 200), mask, inquire=False)
+    result = fit(np.minimum(target, 200), mask, **ALONE)
     record = result.record()
     assert record["schema"] == 2
     (clipped,) = (note for note in record["notes"] if note["code"] == "clipped")

@@ -8,7 +8,8 @@ import pytest
 import godfit
 from tests.support import scattering_oracle as oracle
 
-SIZE, SAMPLES, NOISE_LEVELS = 48, 20, 0.5
+# As large as the pictures of other tests, whose programs the fit shares.
+SIZE, SAMPLES, NOISE_LEVELS = 96, 30, 1.0
 TRUTH = {
     "exposure": 0.1,
     "decay": 0.95,
@@ -30,7 +31,7 @@ def scene():
 def _render(mask, exposure, decay, density, weight, light_x, light_y):
     return oracle.light_pass(
         mask.astype(float),
-        "mitchell",
+        "dawntime",
         exposure,
         decay,
         density,
@@ -54,7 +55,7 @@ def by_lmfit(scene):
 @pytest.fixture
 def by_godfit(scene, single_precision):
     mask, target = scene
-    return godfit.fit(target, mask=mask, shader="mitchell", samples=SAMPLES)
+    return godfit.fit(target, mask=mask, shader="dawntime", samples=SAMPLES)
 
 
 def test_fit_is_that_of_lmfit(by_godfit, by_lmfit):

@@ -20,7 +20,7 @@ from godfit.inference.noise import noise_of
 from tests.support import scattering_oracle as oracle
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
-SIZE, SAMPLES, NOISE_LEVELS = 48, 20, 0.5
+SIZE, SAMPLES, NOISE_LEVELS = 96, 30, 1.0
 TRUTH = (0.1, 0.95, 0.7, 0.5, (0.4, 0.6))
 NEAR = 0.1
 """Standard errors within which an answer is the command line's."""
@@ -33,7 +33,7 @@ def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("problem")
     mask = oracle.smooth_mask(SIZE, SIZE, scale=3).astype(np.float32)
     noise = np.random.default_rng(1).normal(0, NOISE_LEVELS / 255, mask.shape)
-    target = oracle.light_pass(mask.astype(float), "mitchell", *TRUTH, SAMPLES) + noise
+    target = oracle.light_pass(mask.astype(float), "dawntime", *TRUTH, SAMPLES) + noise
     for name, image in (("target", target), ("mask", mask)):
         np.save(folder / f"{name}.npy", image.astype(np.float32))
     return folder / "target.npy", folder / "mask.npy"
@@ -46,7 +46,7 @@ def answer(files, tmp_path_factory):
     target, mask = map(str, files)
     with jax.enable_x64(False):
         arguments = ["fit", target, "--mask", mask, "--samples", str(SAMPLES), "-q"]
-        assert main([*arguments, "--shader", "mitchell", "-o", str(folder)]) == 0
+        assert main([*arguments, "--shader", "dawntime", "-o", str(folder)]) == 0
     return json.loads((folder / "fit.json").read_text())["params"]
 
 
@@ -67,12 +67,12 @@ def problem(files, answer):
     """The problem with a start that is AWAY from the answer along each of its six axes: on so small
     a picture the search itself ends at the answer."""
     target, mask = files
-    found = godfit.problem(target, mask=mask, shader="mitchell", samples=SAMPLES)
+    found = godfit.problem(target, mask=mask, shader="dawntime", samples=SAMPLES)
     assert max(distances(found.start, answer).values()) < 1
     start, to_params = example("whitening")["whitened"](found)
     away = {name: float(value) for name, value in to_params(start + AWAY).items()}
     light = [away.pop(name) for name in ("light_x", "light_y")]
-    model = godfit.Mitchell(**away, light=light, shader="mitchell", samples=SAMPLES)
+    model = godfit.Mitchell(**away, light=light, shader="dawntime", samples=SAMPLES)
     moved = found.replaced(point=np.asarray(model.coordinates()))
     assert max(distances(moved.start, answer).values()) > AWAY / 2
     return moved

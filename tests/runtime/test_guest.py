@@ -53,7 +53,7 @@ def said(tmp_path_factory):
 def test_nothing_is_changed_alone_and_from_threads(said):
     assert said["alone"] == []
     assert said["threads"] == []
-    assert said["of_threads"] == pytest.approx([said["value"]] * 4, rel=1e-6)
+    assert said["of_threads"] == pytest.approx([said["value"]] * 2, rel=1e-6)
     assert said["value"] == pytest.approx(0.3, rel=0.02)
 
 

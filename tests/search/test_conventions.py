@@ -10,7 +10,7 @@ from godfit.scattering.conventions import CONVENTIONS
 from godfit.search import conventions
 from tests.support import distortions, random_targets
 
-SIZE = 72
+SIZE = 96
 
 
 @pytest.fixture(scope="module")

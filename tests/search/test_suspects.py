@@ -11,7 +11,7 @@ from godfit.io.image import LEVELS
 from godfit.search import suspects
 from tests.support import distortions
 
-SIZE = 72
+SIZE = 96
 
 
 def picture_of(levels, **fields):

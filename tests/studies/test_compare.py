@@ -11,11 +11,13 @@ from godfit.io.image import write_image
 from godfit.studies.compare import compare
 from tests.support import daylight_targets, random_targets
 
+SIZE = 96
+
 
 @pytest.fixture(scope="module")
 def sunny():
     """A target of Hoffman and Preetham's, and how the world was seen."""
-    view, image, truth = daylight_targets.draw(11, "bars")
+    view, image, truth = daylight_targets.draw(11, "bars", SIZE)
     found = compare(
         random_targets.to_bytes(image),
         mask=view["mask"],
@@ -55,7 +57,7 @@ def test_criteria_are_those_of_the_likelihood(sunny):
 
 
 def test_mitchell_is_preferred_where_it_is_true():
-    mask, image, truth = random_targets.draw(12, "terrain", 160)
+    mask, image, truth = random_targets.draw(12, "terrain", SIZE)
     found = compare(
         random_targets.to_bytes(image), mask=mask, shader="dawntime", samples=int(truth["samples"])
     )
@@ -69,7 +71,7 @@ def test_mitchell_is_preferred_where_it_is_true():
 
 def test_command_writes_a_table_and_two_files(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    view, _, truth = daylight_targets.draw(11, "bars")
+    view, _, truth = daylight_targets.draw(11, "bars", SIZE)
     view["distance"] = np.ones_like(view["mask"])
     image = daylight_targets.radiance64(truth, view)
     write_image("sky.png", view["mask"])
@@ -166,7 +168,7 @@ def test_bad_air_is_one_line(stage, capsys, options, words):
 
 def test_fit_of_daylight_is_rendered_again(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    view, _, _ = daylight_targets.draw(11, "bars")
+    view, _, _ = daylight_targets.draw(11, "bars", SIZE)
     write_image("sky.png", view["mask"])
     flat = daylight_targets.radiance64(
         dict(zip(daylight_targets.NAMES, (12.0, 4e4, 3.0, 0.6, 0.4, 0.8), strict=True)),

@@ -12,12 +12,12 @@ from godfit.errors import InputError
 from godfit.io.image import write_image
 from godfit.studies.profile_likelihood import profile
 from tests.support import profiled_truths
-from tests.support.known_truth import TRUTH, fit, picture
+from tests.support.known_truth import ALONE, TRUTH, fit, picture
 
 
 @pytest.fixture(scope="module")
 def noisy():
-    return fit(*picture(3, 1.0))
+    return fit(*picture(3, 1.0), **ALONE)
 
 
 @pytest.mark.parametrize("name", ["decay", "light_y"])
@@ -30,7 +30,7 @@ def test_where_the_problem_is_regular_the_profile_is_the_curvature(noisy, name):
 
 
 def test_interval_ends_at_the_bound_of_a_truth_that_lies_there():
-    result = fit(*picture(3, 1.0, decay=1.0))
+    result = fit(*picture(3, 1.0, decay=1.0), **ALONE)
     assert result.params["decay"].at_bound
     e = profile(result, "decay").params["decay"]
     assert e.interval[1] == 1
@@ -40,7 +40,7 @@ def test_interval_ends_at_the_bound_of_a_truth_that_lies_there():
 
 def test_interval_of_a_density_of_1_has_two_sides():
     """1 is where the taps reach the light, and no bound."""
-    result = fit(*picture(3, 1.0, density=1.0))
+    result = fit(*picture(3, 1.0, density=1.0), **ALONE)
     assert not result.params["density"].at_bound
     e = profile(result, "density").params["density"]
     assert e.interval[0] < 1 < e.interval[1]
@@ -51,7 +51,7 @@ def test_interval_of_a_density_of_1_has_two_sides():
 def test_truths_at_a_bound_and_inside_are_covered(name, single_precision):
     """A small run of experiments/accuracy/intervals.py."""
     found = [
-        profiled_truths.attempt(seed, name, noise=1.0, size=96, at=at)
+        profiled_truths.attempt(seed, name, noise=1.0, size=96, at=at, arithmetic="exact", **ALONE)
         for seed in range(1000, 1003)
         for at in (1.0, None)
     ]
@@ -71,7 +71,7 @@ def test_without_noise_the_truth_is_inside_a_narrow_interval():
 def test_what_is_held_or_open_has_no_profile(noisy):
     with pytest.raises(InputError, match="expected one of exposure"):
         profile(noisy, "decays")
-    held = fit(*picture(3, 1.0), fix={"weight": 0.5})
+    held = fit(*picture(3, 1.0), fix={"weight": 0.5}, **ALONE)
     with pytest.raises(InputError, match="that is fitted, got 'weight'"):
         profile(held, "weight")
 
@@ -81,7 +81,10 @@ def test_command_writes_the_interval(tmp_path, monkeypatch, capsys):
     target, mask = picture(3, 1.0)
     write_image("frame.png", target / 255)
     write_image("mask.png", mask / 255)
-    options = ["--mask", "mask.png", "--shader", "dawntime", "--samples", "30", "-q"]
+    options = [
+        "--mask", "mask.png", "--shader", "dawntime", "--samples", "30", "-q",
+        "--arithmetic", "exact", "--pass-scale", "1",
+    ]  # fmt: skip
     assert main(["fit", "frame.png", *options, "--profile", "density"]) == 0
     assert "(95%, profile)" in capsys.readouterr().out
     entry = json.loads(Path("frame.godfit/fit.json").read_text())["params"]["density"]

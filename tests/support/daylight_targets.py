@@ -59,11 +59,11 @@ def radiance64(truth: dict[str, float], view: dict[str, np.ndarray | float]) -> 
     return seen[..., None] * light_in
 
 
-def draw(seed: int, kind: str):
+def draw(seed: int, kind: str, size: int = SIZE):
     """(view, image (h, w, 3) float64 unclamped, truth): a sky of 1 behind occluders of 0."""
     rng = np.random.default_rng([seed, KINDS.index(kind)])
-    u, v = np.meshgrid((np.arange(SIZE) + 0.5) / SIZE, 1 - (np.arange(SIZE) + 0.5) / SIZE)
-    sky = np.ones((SIZE, SIZE))
+    u, v = np.meshgrid((np.arange(size) + 0.5) / size, 1 - (np.arange(size) + 0.5) / size)
+    sky = np.ones((size, size))
     if kind == "ridges":
         for level in (0.15, 0.35):
             waves = sum(

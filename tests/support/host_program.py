@@ -75,8 +75,8 @@ def main() -> dict:
     before, said = snapshot(), {}
     said["value"] = work()
     said["alone"] = changed(before)
-    with ThreadPoolExecutor(4) as pool:
-        said["of_threads"] = list(pool.map(work, range(4)))
+    with ThreadPoolExecutor(2) as pool:
+        said["of_threads"] = list(pool.map(work, range(2)))
     said["threads"] = changed(before)
     for name, value in STRICT.items():
         jax.config.update(name, value)

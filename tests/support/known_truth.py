@@ -16,6 +16,9 @@ TRUTH = {
     "light_x": 0.55,
     "light_y": 0.62,
 }
+ALONE = {"inquire": False, "pass_scale": 1.0}
+"""Options of a fit that is not asked for the reason where it is wrong, nor tried at another size:
+each hint and each other size has a test of its own, and compiles for it."""
 
 
 def picture(seed, noise=0.0, kind="triangles", **changes):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,8 +28,10 @@ class Profiled(NamedTuple):
         return self.interval[0] <= self.truth <= self.interval[1] + 1e-7
 
 
-def attempt(seed: int, name: str, noise: float, size: int, at: float | None = None) -> Profiled:
-    """A picture fitted, ``name`` profiled; its truth is ``at``, or drawn."""
+def attempt(
+    seed: int, name: str, noise: float, size: int, at: float | None = None, **options: Any
+) -> Profiled:
+    """A picture fitted with ``options``, ``name`` profiled; its truth is ``at``, or drawn."""
     kind = random_targets.FRESH[seed % len(random_targets.FRESH)]
     mask, _, truth = random_targets.draw(seed, kind, size, SAMPLES)
     if at is not None:
@@ -37,7 +39,7 @@ def attempt(seed: int, name: str, noise: float, size: int, at: float | None = No
     linear = random_targets.render64(mask / 255, truth | {"exposure": 1.0})
     truth["exposure"] = 1 / float(np.quantile(linear, 0.98))
     target = random_targets.to_bytes(linear * truth["exposure"], noise, seed)
-    result = fit(target, mask=mask, shader="dawntime", samples=SAMPLES)
+    result = fit(target, mask=mask, shader="dawntime", samples=SAMPLES, **options)
     interval = profile(result, name).params[name].interval
     assert interval is not None
     return Profiled(result, name, truth[name], interval)
