@@ -10,8 +10,8 @@ VEIL_COST = -0.28
 """Misfit per pair, less that without light, from which a disc on a veil is believed. It has two
 gains and a step more than a bright mask, and its clipped pixels are data: less is overfitting."""
 LEAD, LEAD_IN_SIGHT = 1.3, 3.0
-"""How many times as much it must explain as the bright mask: in general, and where that one's disc is
-in the picture and elsewhere. A bright mask is right wherever its light is in sight, while a veil
+"""How many times as much it must explain as the bright mask: in general, and where that one's disc
+is in the picture and elsewhere. A bright mask is right wherever its light is in sight, while a veil
 may take ground and objects for one another."""
 SAME_LIGHT = 0.02
 """Distance of the lights of two hypotheses, as a share of the picture, up to which they agree."""
