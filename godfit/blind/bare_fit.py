@@ -14,8 +14,15 @@ import numpy as np
 
 from godfit.blind import hypotheses
 from godfit.blind.certainty import RAYS_COST, SAME_PLACE, SURE_COST, Certainty, certainty
-from godfit.blind.choice import ordered
-from godfit.blind.exact import Exact, Given, Posed, sector_covariance, solved_exactly
+from godfit.blind.choice import SAME_LIGHT, distance, ordered
+from godfit.blind.exact import (
+    Exact,
+    Given,
+    Posed,
+    beyond_disc,
+    sector_covariance,
+    solved_exactly,
+)
 from godfit.blind.hypotheses import Hypothesis, ground_colour
 from godfit.blind.panels import panels
 from godfit.blind.reduced import Reduced, additive, clipped_pixels, reduced
@@ -69,8 +76,6 @@ CLIPPED_SHARE = 0.5
 """Share of a disc's pixels that must not be clipped for its gain to have a number."""
 RIVAL_COST = 0.5
 """Share of the best hypothesis's explanation from which another one explains as well."""
-RIVAL_PLACE = 0.02
-"""Distance of the lights of two hypotheses that both explain, up to which they agree."""
 NEXT = (
     "; give a second screenshot with the effect off (--background off.png), or --light-near U,V, "
     "--occluder, --mask"
@@ -241,7 +246,7 @@ def _doubts(candidates: list[Candidate], sure: Certainty) -> list[str]:
         doubts.append(DISAGREE.format(100 * sure.apart))
     for other in _rivals(candidates):
         apart = distance(best.place, other.place)
-        if apart > RIVAL_PLACE:
+        if apart > SAME_LIGHT:
             doubts.append(RIVALS.format(100 * apart))
     if sure.at_end:
         doubts.append(AT_END)
@@ -266,11 +271,6 @@ def _exact_doubts(exact: Exact, best: Candidate) -> list[str]:
     return doubts
 
 
-def distance(one: tuple[float, float], other: tuple[float, float]) -> float:
-    """The larger difference of two places, as a share of the picture."""
-    return max(abs(a - b) for a, b in zip(one, other, strict=True))
-
-
 def _concluded(
     exact: Exact, candidates: list[Candidate], sure: Certainty, doubts: list[str], box: bool
 ) -> Found:
@@ -290,6 +290,12 @@ def _concluded(
         # Two answers that do not share their assumptions: the error is at least their distance.
         found = np.array([*best.place, best.point[2], best.density])
         scatter[known, known] += (np.array(SHARED_ERROR) * (z[known] - found)) ** 2
+        beyond = beyond_disc(exact)
+        if beyond is not None:
+            scatter[known, known] += (z[known] - beyond.settled.coordinates[known]) ** 2
+            # A disc that is no circle trades with these two: they are as sure as without it.
+            trading = np.ix_([KAPPA, DENSITY], [KAPPA, DENSITY])
+            scatter[trading] += sector_covariance(beyond)[trading]
     scatter[~free] = scatter[:, ~free] = 0.0
     opened: list[tuple[int, list[int]]] = []
     if free[GAIN] and not np.isnan(held[EXPOSURE]):

@@ -45,7 +45,11 @@ def certainty(candidate: Candidate, near: tuple[float, float] | None, seed: int)
     """The jackknife over sectors about the light (Miller, Biometrika 61 (1974), 1), and the
     distance of two minima on pairs that share none."""
     between = ends(near)
-    *chosen, pairs = (drawn(candidate.hypothesis, FINE_PAIRS // 2, seed + k) for k in (11, 12, 13))
+    # About the light, where the search refined it so.
+    about = candidate.place if candidate.hypothesis.windowed.all() else None
+    *chosen, pairs = (
+        drawn(candidate.hypothesis, FINE_PAIRS // 2, seed + k, about) for k in (11, 12, 13)
+    )
     sector = _sectors(candidate, pairs)
     kept = [sector != k for k in range(SECTORS)]
     chosen += [pairs.where(keep) for keep in kept]

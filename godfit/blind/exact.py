@@ -67,6 +67,13 @@ ROUNDS = 25
 """Rounds of the likelihood, at most: the valley in which attenuation and gain trade is long."""
 
 
+DISC_MARGIN = 1.25
+"""How much larger than its circle a disc is taken, where no ray may meet it: a sphere at 60 degrees
+from the axis of a camera is an ellipse that is 1.15 times as long and off its centre."""
+FEWEST_BEYOND = 2_000
+"""Pixels whose rays end before the disc, without which nothing is solved for there."""
+
+
 class Given(NamedTuple):
     """What the user gives: values that are held (None: at the start or the default) and ones that
     are started from, and the light pass's size against the picture's, ``pass_scale``."""
@@ -164,6 +171,32 @@ def solved_exactly(
     tangent = tangent_at(point, problem, seen)
     sigma, likelihood = best_sigma(tangent.prediction, seen)
     return Exact(problem, seen, Settled(point, sigma, likelihood, True), tangent, False)
+
+
+def beyond_disc(found: Exact) -> Exact | None:
+    """The answer of the pixels whose rays end before they meet the disc, None where there are few.
+
+    These say nothing of the disc, whose numbers are held, and need no model of it: it is a circle
+    to the model, and a real one may be a sphere, a square or a picture.
+    """
+    problem, z = found.problem, found.settled.coordinates
+    picture, share = problem.picture, 1 - float(z[DENSITY])
+    if not (found.exact and problem.free[VEIL] and share > 0):
+        return None
+    h, w = picture.size
+    row, column = np.mgrid[:h, :w]
+    x, y = column + 0.5 - z[LIGHT_X] * w, row + 0.5 - (1 - z[LIGHT_Y]) * h
+    outside = np.hypot(x, y) * share > DISC_MARGIN * z[RADIUS] * h
+    picture = dataclasses.replace(picture, valid=picture.valid & outside)
+    if np.count_nonzero(picture.valid) < FEWEST_BEYOND:
+        return None
+    free, held = problem.free.copy(), problem.held.copy()
+    disc = [GAIN, RADIUS, EDGE]
+    free[disc], held[disc] = False, z[disc]
+    problem = problem.replaced(picture=picture, free=free, held=held)
+    seen = picture.observe(blocks(picture, problem.seed))
+    settled, tangent = settle(z, problem, seen, rounds=ROUNDS)
+    return Exact(problem, seen, settled, tangent, True)
 
 
 def _start(

@@ -16,6 +16,10 @@ from godfit.blind.hypotheses import Hypothesis
 NEAREST, FARTHEST = 0.015, 0.15
 """Distance of the two pixels of a pair, as shares of the longer side: nearer, the light hardly
 changes; farther, the scene does."""
+NEAR_LIGHT = 0.005, 0.08
+"""The same for pairs about a light, where its rays change over a few pixels of the copy."""
+CORE = 0.05
+"""Distance from a light, as a share of the longer side, within which pixels count alike."""
 LEAST_SPREAD = 0.5 / 255
 """Least spread of texture: half a level, about what rounding leaves."""
 SPREAD_ROUNDS = 4
@@ -50,14 +54,27 @@ class Pairs(NamedTuple):
         return chosen._replace(dark=_dark(chosen))
 
 
-def drawn(hypothesis: Hypothesis, count: int, seed: int) -> Pairs:
-    """``count`` pairs of usable pixels in random directions; fewer where one of both is clipped."""
+def drawn(
+    hypothesis: Hypothesis, count: int, seed: int, about: tuple[float, float] | None = None
+) -> Pairs:
+    """``count`` pairs of usable pixels in random directions; fewer where one of both is clipped.
+
+    They may lie ``about`` a place (u, v), as many between any distance from it and its double: most
+    of a picture is far from its light, and says little of its place.
+    """
     usable = hypothesis.usable | hypothesis.bounded
     h, w = usable.shape
     rows, columns = np.nonzero(usable)
     rng = np.random.default_rng(seed)
-    index = rng.integers(0, len(rows), 4 * count)
-    away = max(h, w) * rng.uniform(NEAREST, FARTHEST, len(index))
+    if about is None:
+        index = rng.integers(0, len(rows), 4 * count)
+    else:
+        x, y = columns + 0.5 - about[0] * w, rows + 0.5 - (1 - about[1]) * h
+        share = 1 / (x * x + y * y + (CORE * max(h, w)) ** 2)
+        index = rng.choice(len(rows), 4 * count, p=share / share.sum())
+    away = max(h, w) * rng.uniform(
+        *(NEAREST, FARTHEST) if about is None else NEAR_LIGHT, len(index)
+    )
     angle = rng.uniform(0, 2 * np.pi, len(index))
     first = rows[index], columns[index]
     second = (
@@ -84,7 +101,9 @@ def drawn(hypothesis: Hypothesis, count: int, seed: int) -> Pairs:
         LEAST_SPREAD,
         0.0,
     )
-    pairs = pairs._replace(spread=_texture(pairs))
+    # About a light the differences are its own: texture is measured all over the picture.
+    spread = _texture(pairs) if about is None else drawn(hypothesis, count, seed).spread
+    pairs = pairs._replace(spread=spread)
     return pairs._replace(dark=_dark(pairs))
 
 

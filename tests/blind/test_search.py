@@ -1,6 +1,8 @@
 """The search for a light in a finished picture, on pictures small enough to be searched in a
 second."""
 
+import dataclasses
+import math
 import os
 import signal
 
@@ -8,10 +10,23 @@ import numpy as np
 import pytest
 
 import godfit
-from godfit.blind import choice, hypotheses, misfit_kernel, pairs, reduced, search
+from godfit.blind import (
+    bare_fit,
+    choice,
+    exact,
+    hypotheses,
+    misfit_kernel,
+    pairs,
+    reduced,
+    search,
+)
 from godfit.blind.certainty import certainty
 from godfit.blind.panels import panels
+from godfit.inference.observation import Picture
 from godfit.io.image import encode
+from godfit.io.sources import read_source
+from godfit.models.build import mitchell_template
+from godfit.models.coordinates import DENSITY, LIGHT_X, LIGHT_Y, RADIUS
 from godfit.runtime import interrupts
 from godfit.scattering.conventions import convention
 
@@ -37,11 +52,12 @@ def light_pass(mask, light, kappa, density, samples=60):
     return out
 
 
-def scene(texture=0.0, gain=0.9, light=LIGHT):
-    """Bytes of a black box and a disc on a veil, over a ground of one colour; and its mask."""
+def scene(texture=0.0, gain=0.9, light=LIGHT, stretched=1.0):
+    """Bytes of a black box and a disc on a veil, over a ground of one colour; and its mask. The
+    disc may be an ellipse, ``stretched`` along x."""
     h, w = SIZE
     row, column = np.mgrid[:h, :w]
-    away = np.hypot(column + 0.5 - light[0] * w, row + 0.5 - (1 - light[1]) * h)
+    away = np.hypot((column + 0.5 - light[0] * w) / stretched, row + 0.5 - (1 - light[1]) * h)
     box = (abs(column - 82) < 14) & (abs(row - 40) < 18)
     mask = np.where(box, 0.0, np.where(away < 8, 1.0, VEIL))
     lit = gain * (light_pass(mask, light, 2.0, 0.8) + 0.3 * mask)
@@ -152,6 +168,73 @@ def test_a_veil_must_explain_more_than_a_bright_mask():
     for cost, chosen in ((-0.6, "colour"), (-0.25, "bright"), (-0.37, "bright")):
         both = [search.Candidate(plain, point, -0.3), search.Candidate(veil, point, cost)]
         assert choice.ordered(both)[0].hypothesis.name == chosen
+
+
+@pytest.mark.parametrize(
+    ("bright_at", "veil_at", "cost", "chosen"),
+    [
+        ((0.5, 0.5), (0.3, 0.5), -0.8, "bright"),
+        ((0.5, 0.5), (0.3, 0.5), -1.0, "colour"),
+        ((0.5, 0.5), (0.51, 0.5), -0.4, "colour"),
+        ((0.5, 0.97), (0.3, 0.5), -0.4, "colour"),
+    ],
+    ids=["in sight", "thrice as much", "one light", "not wholly in sight"],
+)
+def test_a_veil_elsewhere_must_explain_thrice_as_much_as_a_light_in_sight(
+    bright_at, veil_at, cost, chosen
+):
+    copy = copy_of(scene()[0])
+    occluded = np.zeros(SIZE, bool)
+    numbers = 2.0, 0.8, math.log(0.05)
+    both = [
+        search.Candidate(hypotheses.bright(copy, occluded), np.array([*bright_at, *numbers]), -0.3),
+        search.Candidate(hypotheses.colour(copy, occluded), np.array([*veil_at, *numbers]), cost),
+    ]
+    assert choice.ordered(both)[0].hypothesis.name == chosen
+
+
+def test_pairs_about_a_light_are_as_many_at_any_distance_and_its_double():
+    hypothesis = hypotheses.bright(copy_of(scene()[0]), np.zeros(SIZE, bool))
+    drawn = pairs.drawn(hypothesis, 2000, 0, LIGHT)
+    h, w = SIZE
+    away = np.hypot(drawn.x - LIGHT[0] * w, drawn.y - (1 - LIGHT[1]) * h)[0] / w
+    # The area grows fourfold, less what lies in the box, the mask or off the picture.
+    near, far = (np.count_nonzero((away > a) & (away < 2 * a)) for a in (0.1, 0.2))
+    assert 0.6 < far / near < 1.2
+    apart = np.hypot(np.diff(drawn.x, axis=0), np.diff(drawn.y, axis=0)) / w
+    assert apart.max() < pairs.NEAR_LIGHT[1] + 1 / w
+    assert drawn.spread == pairs.drawn(hypothesis, 2000, 0).spread
+
+
+def test_a_bright_lights_place_is_that_of_the_pairs_about_it():
+    hypothesis = hypotheses.bright(copy_of(scene()[0]), np.zeros(SIZE, bool))
+    found = search.searched(hypothesis, (LIGHT[0] + 0.03, LIGHT[1] - 0.03), 0)
+    assert np.abs(np.subtract(found.place, LIGHT)).max() < HALF_A_TEXEL
+
+
+def test_a_disc_that_is_none_is_covered_by_what_lies_beyond_it(single_precision):
+    """An ellipse shifts the density by more than its errors; rays that end before it say so."""
+    image, _ = scene(stretched=1.5)
+    target = read_source(image, "none", "target")
+    shading = mitchell_template("dawntime", 60, 1)
+    picture = Picture.make(target, np.ones(SIZE, np.float32), None, None)
+    picture = dataclasses.replace(picture, foreign=bare_fit.FOREIGN)
+    posed = exact.Posed(copy_of(image), picture, shading, exact.Given({}, {}, None))
+    hypothesis = hypotheses.colour(posed.copy, np.zeros(SIZE, bool))
+    point = np.array([*LIGHT, 2.0 / 0.8, 0.8, math.log(8 / SIZE[1])])
+    found = exact.solved_exactly(search.Candidate(hypothesis, point, -0.6), posed, 0, lambda: False)
+    beyond = exact.beyond_disc(found)
+    assert beyond is not None
+    row, column = np.divmod(np.asarray(beyond.seen.pixels), SIZE[1])
+    z = found.settled.coordinates
+    away = np.hypot(column + 0.5 - z[LIGHT_X] * SIZE[1], row + 0.5 - (1 - z[LIGHT_Y]) * SIZE[0])
+    assert (away * (1 - z[DENSITY]) > z[RADIUS] * SIZE[0]).all()
+    assert not beyond.problem.free[RADIUS]
+    off = abs(z[DENSITY] - 0.8)
+    alone, outside = (exact.sector_covariance(one)[DENSITY, DENSITY] for one in (found, beyond))
+    apart = z[DENSITY] - beyond.settled.coordinates[DENSITY]
+    assert off > 3 * np.sqrt(alone)
+    assert off < 3 * np.sqrt(apart**2 + outside)
 
 
 def test_pairs_have_no_end_in_the_mask_or_off_the_picture():
