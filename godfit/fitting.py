@@ -315,7 +315,7 @@ def _fit_pair(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     light = light_pass.light_pass(target, scene, shading.convention, encodings, request.valid)
     request.report("light pass of the two screenshots")
     seen = pair_scene.Scene(target, scene, request.valid)
-    pairs = two_screenshots.found_in(light, seen, shading, request.light_near)
+    pair = two_screenshots.found_in(light, seen, shading, request.light_near)
     images = {
         "target": _reread(target, request.target, light.blend.transfer),
         "background": _reread(scene, request.background, light.blend.scene),
@@ -336,7 +336,7 @@ def _fit_pair(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
             held[list(model.parameters).index("exposure")] = float(model.exposure)
         return Problem(model, picture, np.isnan(held), held, request.seed)
 
-    settled = pair_fit.alternate(pairs, posed, request.report)
+    settled = pair_fit.alternate(pair, posed, request.report)
     notes = _pair_notes(request, light.blend)
     stripped = {role: dataclasses.replace(im, values=NO_VALUES) for role, im in images.items()}
     return settled, notes, stripped

@@ -60,7 +60,6 @@ COMPILED = (
     "godfit.scenes.contours",
     "godfit.scenes.intersections",
     "godfit.scenes.shadow_maps",
-    "godfit.blind.ray_kernel",
     "godfit.blind.mask_kernel",
     "godfit.scattering.mask_jacobian",
     "godfit.blind.misfit_kernel",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -58,21 +58,15 @@ class Turned(NamedTuple):
 
 
 def alternate(
-    pairs: Iterable[Pair],
+    pair: Pair,
     posed: Callable[[Pair, np.ndarray, np.ndarray], Problem],
     report: Callable[[str], None],
 ) -> Found:
-    """The fit of two screenshots from where searches led, one after the other until one explains
-    the pair. ``posed`` makes the problem of a pair, a mask (h, w, c) and (h, w), which
-    of its texels are fitted."""
-    pair = None
-    for other in pairs:
-        # The first place is the surer one: the scene's objects are known there.
-        pair = pair or other
-        turned = _in_turn(other, posed, report)
-        if turned is not None and turned.settled.sigma <= EXPLAINED_NOISE:
-            return _refined(turned)
-    assert pair is not None
+    """The fit of two screenshots from where the search led. ``posed`` makes the problem of a pair,
+    a mask (h, w, c) and (h, w), which of its texels are fitted."""
+    turned = _in_turn(pair, posed, report)
+    if turned is not None and turned.settled.sigma <= EXPLAINED_NOISE:
+        return _refined(turned)
     return _unrefined(pair, posed)
 
 

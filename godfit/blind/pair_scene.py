@@ -15,10 +15,8 @@ from godfit.blind import hypotheses
 from godfit.blind.hypotheses import Hypothesis
 from godfit.blind.light_pass import LightPass
 from godfit.blind.pairs import drawn, solved
-from godfit.blind.rays import Candidate
 from godfit.blind.reduced import Reduced, reduced
-from godfit.blind.search import PAIRS, in_pixels, searched
-from godfit.blind.search import Candidate as Searched
+from godfit.blind.search import PAIRS, Candidate, in_pixels, searched
 from godfit.io.filters import shrink
 from godfit.io.image import LEVELS, Image
 from godfit.runtime.parallel import parallel_map
@@ -27,12 +25,29 @@ from godfit.scattering.conventions import Convention
 LEAST_USABLE = 500
 """Pixels of the copy without which a hypothesis is not tried."""
 FAINTEST = 1e-3
-"""Levels of the light pass over a mask of the dim background, at least: the search along rays moves
-its logarithm nowhere below."""
-
+"""Levels of the light pass over a mask of the dim background, at least: the mask is divided by
+them."""
+LEAST_KAPPA, MOST_DENSITY = 0.02, 0.995
+"""Attenuation along a ray, at least, and density, at most, with which a mask is solved for: texels
+are decided from the light outwards, by taps that end before it."""
 
 DARK = 0.5
 """Brightness of an object against the scene's median, at most: what occludes is black there."""
+
+
+class Place(NamedTuple):
+    """Light (u, v); attenuation ``kappa`` along a ray; density ``rho``; the own pixel's weight
+    ``own`` against all taps; levels of the light pass over a mask of the dim background, ``dim``,
+    and over a white one, ``bright``; ``radius`` of the light's disc, in widths."""
+
+    u: float
+    v: float
+    kappa: float
+    rho: float
+    own: float
+    dim: float
+    bright: float
+    radius: float
 
 
 class Scene(NamedTuple):
@@ -91,7 +106,7 @@ def scene_places(
     shader: Convention,
     near: tuple[float, float] | None,
     seed: int = 0,
-) -> list[Searched]:
+) -> list[Candidate]:
     """The best place under each hypothesis, best first.
 
     Each is searched for once more about the best place of all: most of the picture is flat in the
@@ -107,24 +122,22 @@ def scene_places(
     return sorted(found, key=_cost)
 
 
-def _cost(place: Searched) -> float:
+def _cost(place: Candidate) -> float:
     return place.cost
 
 
-def along_rays(place: Searched, own: float, seed: int = 0) -> Candidate:
-    """The same place in the numbers of the search along rays, with an own pixel of weight ``own``.
-
-    The two maps' gains are the levels of the light pass over the dim background and over white.
-    """
-    hypothesis = place.hypothesis
+def in_levels(candidate: Candidate, own: float, seed: int = 0) -> Place:
+    """The same place with an own pixel of weight ``own``. The gains of the hypothesis are the
+    levels of the light pass over the dim background and over white."""
+    hypothesis = candidate.hypothesis
     pairs = drawn(hypothesis, PAIRS, seed)
-    _, gains = solved(in_pixels(place.point, hypothesis.values.shape), pairs, hypothesis)
+    _, gains = solved(in_pixels(candidate.point, hypothesis.values.shape), pairs, hypothesis)
     gains = gains[0, : len(hypothesis.maps)]
-    kappa = max(place.kappa, 0.02)
+    kappa = max(candidate.kappa, LEAST_KAPPA)
     levels = LEVELS * ((1 - math.exp(-kappa)) / kappa + own) * gains
     dim = float(levels[hypothesis.windowed == 0].sum())
-    (u, v), bright = place.place, float(levels.sum())
-    return Candidate(
-        u, v, kappa, min(place.density, 0.995), own, max(dim, FAINTEST), max(bright, 1.0),
-        place.radius,
+    (u, v), bright = candidate.place, float(levels.sum())
+    return Place(
+        u, v, kappa, min(candidate.density, MOST_DENSITY), own, max(dim, FAINTEST),
+        max(bright, 1.0), candidate.radius,
     )  # fmt: skip

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 import godfit
-from godfit.blind import pair_scene, two_screenshots
+from godfit.blind import hypotheses, pair_scene, search, two_screenshots
 from godfit.blind.light_pass import ENCODINGS, light_pass
-from godfit.blind.pair_search import Place
-from godfit.blind.rays import Candidate
+from godfit.blind.pair_scene import Place
 from godfit.errors import InputError
 from godfit.io.sources import read_source
 from godfit.scattering.conventions import convention
@@ -106,7 +105,7 @@ def test_the_objects_of_the_ordinary_pass_tell_light_and_density():
         shader,
         None,
     )
-    at = pair_scene.along_rays(found[0], 1 / (0.6 * 80))
+    at = pair_scene.in_levels(found[0], 1 / (0.6 * 80))
     assert (at.u, at.v) == pytest.approx((0.4, 0.6), abs=0.005)
     assert at.rho == pytest.approx(0.8, abs=0.05)
     assert at.kappa == pytest.approx(-80 * math.log(truth["decay"]), rel=0.15)
@@ -148,9 +147,13 @@ def test_mask_and_numbers_in_turn(tmp_path, monkeypatch):
     assert (on == 255).mean() > 0.01
     kappa, own = -80 * math.log(0.97), 1 / (0.6 * 80)
     bright = 255 * 0.05 * 0.6 * 80 * ((1 - math.exp(-kappa)) / kappa + own)
-    at = Candidate(0.4, 0.6, kappa, 0.8, own, 0.06 * bright, bright, 0.05)
-    monkeypatch.setattr(two_screenshots, "scene_places", lambda *_: [])
-    monkeypatch.setattr(two_screenshots, "search", lambda *_: [Place(at, 0.0)])
+    at = Place(0.4, 0.6, kappa, 0.8, own, 0.06 * bright, bright, 0.05)
+    point = np.array([0.4, 0.6, kappa / 0.8, 0.8, math.log(0.05)])
+    nothing = np.zeros((1, 1))
+    hypothesis = hypotheses.Hypothesis("bright", nothing, nothing, *[nothing] * 4, (), nothing)
+    found = search.Candidate(hypothesis, point, -1.0)
+    monkeypatch.setattr(two_screenshots, "scene_places", lambda *_: [found])
+    monkeypatch.setattr(two_screenshots, "in_levels", lambda *_: at)
     result = godfit.fit(on, background=off, shader="dawntime", samples=80)
     assert result.params["light_x"].value == pytest.approx(0.4, abs=1e-3)
     assert result.params["light_y"].value == pytest.approx(0.6, abs=1e-3)
@@ -167,13 +170,11 @@ def test_mask_and_numbers_in_turn(tmp_path, monkeypatch):
     assert {"fit.json", "fit.png", "render.png", "mask.png"} <= {p.name for p in tmp_path.iterdir()}
 
 
-def test_a_pair_without_a_light_has_no_numbers(monkeypatch):
+def test_a_pair_without_a_light_has_no_numbers():
     """Noise that no light explains: no errors, and what to do next."""
     rng = np.random.default_rng(5)
     off = bytes_of(rng.uniform(0.1, 0.5, (30, 40)))
     on = bytes_of(off / 255 + rng.uniform(0, 0.4, (30, 40)))
-    at = Candidate(0.4, 0.6, 2.0, 0.8, 0.02, 12.0, 300.0, 0.05)
-    monkeypatch.setattr(two_screenshots, "search", lambda *_: [Place(at, 1e3)])
     result = godfit.fit(on, background=off, shader="dawntime", samples=40)
     assert not result.converged
     assert all(estimate.stderr is None for estimate in result.params.values())
