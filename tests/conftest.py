@@ -150,7 +150,7 @@ SLOW = (
     "inference/test_arithmetic.py", "scattering/test_gradients.py",
     "scattering/radial/test_methods.py", "scattering/radial/test_radial.py",
     "scenes/test_raster.py", "test_convention_fits.py", "runtime/test_guest.py",
-    "blind_pairs/test_rays.py",
+   
     "search/test_conventions.py::test_the_shader_is_found_and_ties_are_named",
     "search/test_conventions.py::"
     "test_another_shader_or_number_is_not_converged_and_names_what_is_right",

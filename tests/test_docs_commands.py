@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import godfit.blind.bare_fit
+import godfit.blind.two_screenshots
 import godfit.fitting
 import godfit.scenes.view
 import godfit.studies.clip
@@ -106,7 +108,7 @@ def without_search(monkeypatch):
     # The rasteriser takes ten seconds to compile, and has tests of its own.
     for module in (godfit.fitting, godfit.scenes.view):
         monkeypatch.setattr(module, "drawn_mask", lambda scene, *rest: np.eye(*scene.size))
-    for module in (godfit.fitting.bare_fit, godfit.fitting.two_screenshots):
+    for module in (godfit.blind.bare_fit, godfit.blind.two_screenshots):
         monkeypatch.setattr(module, "found_in", reached)
     monkeypatch.setattr(godfit.fitting.conventions, "identified", reached)
     monkeypatch.setattr(godfit.studies.simplify, "simplify", reached)

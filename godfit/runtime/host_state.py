@@ -38,11 +38,13 @@ def imports_kept() -> Generator[None]:
 
 @contextmanager
 def warnings_kept() -> Generator[None]:
-    """The filters of warnings, and what shows them, are the same objects afterwards as before."""
+    """The filters of warnings, and what shows them, are the same objects afterwards as before, and
+    what packages that are imported meanwhile add to the filters is taken out again."""
     global _entered
     with _lock:
         if _entered == 0:
             _saved.update({name: getattr(warnings, name, None) for name in WARNING_STATE})
+            _saved["entries"] = list(warnings.filters)
         _entered += 1
     try:
         yield
@@ -57,7 +59,10 @@ def _restore_warnings() -> None:
     changed = [n for n in WARNING_STATE if getattr(warnings, n, None) is not _saved[n]]
     for name in changed:
         setattr(warnings, name, _saved[name])
-    if changed:
+    added = list(warnings.filters) != _saved["entries"]
+    if added:
+        warnings.filters[:] = _saved["entries"]  # pyright: ignore[reportIndexIssue]
+    if changed or added:
         _filters_changed()
     _saved.clear()
 

@@ -244,7 +244,7 @@ def test_bad_numbers_are_refused(tmp_path, options, words):
 
 def test_agrees_with_mitsuba(tmp_path):
     """Five scenes against another's path tracer, whose noise (2%) is known for every value."""
-    arrays, part = np.load(REFERENCES), 6
+    arrays, part = np.load(REFERENCES), 12
     side = theirs.SIZE * part
     for name, reference in theirs.REFERENCES.items():
         # A pixel is the mean over its area.

@@ -137,8 +137,9 @@ def test_two_processes_may_start_at_once(tmp_path):
     assert first == second == outcome(summing(**cache))
     (numba,) = tmp_path.glob("numba-*")
     (jax,) = tmp_path.glob("jax-*")
+    (machine,) = tmp_path.glob("machine-*")
     files = [file for file in tmp_path.rglob("*") if file.is_file()]
-    assert {file.parent for file in files} == {numba, jax}
+    assert {file.parent for file in files} == {numba, jax, machine}
     # A pickle in place of every file is not loaded, and all is made again.
     for file in files:
         file.write_bytes(pickle.dumps(Touch(tmp_path / "ran")))

@@ -16,11 +16,15 @@ APART = {"timing_s", "command", "params", "combined", "correlations", "covarianc
 
 def fitted(cores, folder, name):
     """fit.json of a target of data_synthetic, by a process that has only ``cores``."""
-    command = [sys.executable, "-m", "godfit", "fit", str(MADE / f"{name}.png"), "--json", "-q"]
+    # The process begins with fewer cores by itself: this one, with JAX's threads, may not fork.
+    begin = (
+        f"import os, runpy, sys; os.sched_setaffinity(0, {set(cores)}); "
+        "sys.argv[0] = 'godfit'; runpy.run_module('godfit', run_name='__main__')"
+    )
+    command = [sys.executable, "-c", begin, "fit", str(MADE / f"{name}.png"), "--json", "-q"]
     done = subprocess.run(
-        [*command, "-o", str(folder)], capture_output=True, text=True, check=True,
-        preexec_fn=lambda: os.sched_setaffinity(0, cores),
-    )  # fmt: skip
+        [*command, "-o", str(folder)], capture_output=True, text=True, check=True
+    )
     return json.loads(done.stdout)
 
 
@@ -29,10 +33,9 @@ def fitted(cores, folder, name):
     not hasattr(os, "sched_getaffinity") or len(os.sched_getaffinity(0)) < 2,
     reason="needs two cores and a system that gives a process fewer",
 )
-@pytest.mark.parametrize("name", ["halfres", "disc"])
-def test_the_number_of_cores_changes_last_digits_alone(name, tmp_path):
+def test_the_number_of_cores_changes_last_digits_alone(tmp_path):
     both = sorted(os.sched_getaffinity(0))[:2]
-    one, two = (fitted(set(cores), tmp_path, name) for cores in (both[:1], both))
+    one, two = (fitted(cores, tmp_path, "halfres") for cores in (both[:1], both))
     for key in one["params"]:
         a, b = one["params"][key], two["params"][key]
         assert abs(a["value"] - b["value"]) <= STATED * (a["stderr"] or 0), key
