@@ -136,9 +136,6 @@ def fit(
         raise click.UsageError(f"{wanted}: expected --mask, --scene or --canvas with it, got none")
     for name in study.options["free"] if "scene" not in study.options else ():
         raise click.UsageError(f"--free {name}: expected --scene SCENE.toml with it, got a mask")
-    from godfit.report import drawing_process
-
-    drawing_process.start()
     with working(run) as progress:
         from godfit.fitting import fit
         from godfit.studies.posterior import require

@@ -210,11 +210,8 @@ def _load_ahead(kernels: bool, run_key: str) -> None:
 
         compile_fastest()
     preload_programs(run_key)
-    from godfit.report import drawing_process
-
-    if not drawing_process.is_running():
-        import matplotlib.backends.backend_agg
-        import matplotlib.figure  # noqa: F401
+    import matplotlib.backends.backend_agg
+    import matplotlib.figure  # noqa: F401
 
 
 def command_line() -> str:

@@ -22,7 +22,7 @@ from godfit.report.files import PAGE, page_writer, write_result
 from godfit.report.pages import compare_page
 from godfit.report.record import fit_record
 from godfit.report.result import FitResult
-from godfit.report.sheet import QUIET, Grid, Panel, PanelImage, Sheet
+from godfit.report.sheet import QUIET, Grid, Panel, Sheet, picture
 from godfit.report.style import own_style
 
 if TYPE_CHECKING:
@@ -141,16 +141,16 @@ def _plot(found: Comparison) -> Figure:
     # One scale for all, which the best of them fills.
     limit = min(map(limit_of, residuals))
     target = found.rows[0].result.picture.levels[cut] / np.float32(LEVELS)
-    above = [Panel("target", PanelImage(as_shown(target)))]
+    above = [Panel("target", picture(as_shown(target)))]
     below = []
     for i, (row, residual) in enumerate(zip(found.rows, residuals, strict=True)):
         lights = np.asarray(row.result.model.light)
         fitted = as_shown(row.result.levels[cut] / np.float32(LEVELS))
         words = ((f"{row.result.rmse_levels:.2f} levels rms", QUIET),)
-        above.append(Panel(row.name, PanelImage(fitted, lights), words, strong=i == 0))
+        above.append(Panel(row.name, picture(fitted, lights), words, strong=i == 0))
         words = ((residual_caption(row.result), QUIET),)
         title = f"{row.name}: fitted - target, levels"
-        below.append(Panel(title, PanelImage(residual, limit=limit), words, limit))
+        below.append(Panel(title, picture(residual, limit=limit), words, limit))
     aspect = height / width
     blocks = Grid(tuple(above), aspect), Grid(tuple(below), aspect)
     return Sheet(found.sentence, found.best.result.converged, blocks).figure()

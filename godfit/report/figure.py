@@ -9,22 +9,13 @@ import numpy as np
 
 from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.io.image import LEVELS
-from godfit.report.sheet import (
-    ALARM,
-    INK,
-    QUIET,
-    Grid,
-    Line,
-    Panel,
-    PanelImage,
-    Sheet,
-    SourceMap,
-    Words,
-)
+from godfit.report.sheet import ALARM, INK, QUIET, Grid, Line, Panel, Sheet, Words, picture
 from godfit.report.text import given, half_sentence, rows
 from godfit.scattering.parameters import is_light
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from godfit.report.result import FitResult
 
 PANEL_PIXELS = 1024
@@ -35,9 +26,11 @@ LEAST_LIMIT = 0.5
 """Levels at which the residual's colours end, at least: less is rounding."""
 SOURCES = {"density": "#e66100", "decay": "#1a85ff", "light": "#2ca02c"}
 """The colours of what the map of information shows."""
+DIMMED = 0.35
+"""Brightness of the target under the map of information, so that its colours are visible."""
 
 
-def fit_sheet(result: FitResult) -> Sheet:
+def plot(result: FitResult) -> Figure:
     """Target, mask, fitted and residual, the light marked, the parameters below."""
     image, height, width = result.picture, *result.picture.size
     # More pixels than the panels have would only take memory.
@@ -47,13 +40,13 @@ def fit_sheet(result: FitResult) -> Sheet:
     limit = limit_of(residual)
     target = as_shown(image.levels[cut] / np.float32(LEVELS))
     fitted = as_shown(result.levels[cut] / np.float32(LEVELS))
-    panels = [Panel("target", PanelImage(target, lights))]
+    panels = [Panel("target", picture(target, lights))]
     mask = mask_panel(result, lights)
     panels += [mask] if mask else []
     panels += [
-        Panel("fitted", PanelImage(fitted, lights)),
+        Panel("fitted", picture(fitted, lights)),
         Panel(
-            "fitted - target, levels", PanelImage(residual, lights, limit),
+            "fitted - target, levels", picture(residual, lights, limit),
             ((residual_caption(result), QUIET),), limit,
         ),
     ]  # fmt: skip
@@ -62,16 +55,14 @@ def fit_sheet(result: FitResult) -> Sheet:
         captions = tuple(
             (half_sentence(name, share), SOURCES[name]) for name, share in maps.items()
         )
-        panels.append(
-            Panel("where the numbers come from", SourceMap(target, maps, SOURCES), captions)
-        )
+        panels.append(Panel("where the numbers come from", _sources(target, maps), captions))
     state = "converged" if result.converged else "NOT CONVERGED"
     title = (
         f"{result.model.name}, {given(result.model)}: {state}, residual "
         f"{result.rmse_levels:.2f} levels rms"
     )
     blocks = Grid(tuple(panels), height / width), Words(parameter_lines(result.params), mono=True)
-    return Sheet(title, result.converged, (*blocks, Words(_remarks(result))))
+    return Sheet(title, result.converged, (*blocks, Words(_remarks(result)))).figure()
 
 
 def as_shown(image: np.ndarray) -> np.ndarray:
@@ -105,7 +96,7 @@ def mask_panel(result: FitResult, lights: np.ndarray) -> Panel | None:
     if result.picture.foreign:
         # The square root brightens faint parts.
         title, mask = "estimated mask, square root", np.sqrt(np.maximum(mask, 0))
-    return Panel(title, PanelImage(as_shown(mask), lights))
+    return Panel(title, picture(as_shown(mask), lights))
 
 
 def residual_caption(result: FitResult) -> str:
@@ -122,6 +113,25 @@ def by_source(where: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     found = {name: where[name] for name in ("density", "decay") if name in where}
     lights = [share for name, share in where.items() if is_light(name)]
     return found | ({"light": np.mean(lights, 0)} if lights else {})
+
+
+def _sources(target: np.ndarray, maps: Mapping[str, np.ndarray]) -> Any:
+    """What draws the maps over the dimmed target, each in its colour."""
+
+    def draw(axes: Any) -> Any:
+        from matplotlib.colors import to_rgb
+
+        grey = target if target.ndim == 2 else target.mean(-1)
+        whole = {"extent": (0, 1, 0, 1), "aspect": "auto"}
+        axes.imshow(np.clip(grey, 0, 1) * DIMMED, cmap="gray", vmin=0, vmax=1, **whole)
+        # The square root makes the faint parts visible.
+        strength = {n: np.sqrt(share / max(share.max(), 1e-30)) for n, share in maps.items()}
+        colour = sum(s[..., None] * np.array(to_rgb(SOURCES[n])) for n, s in strength.items())
+        alpha = np.max(list(strength.values()), 0)
+        layer = np.clip(np.concatenate([np.asarray(colour), alpha[..., None]], -1), 0, 1)
+        return axes.imshow(layer, interpolation="bilinear", **whole)
+
+    return draw
 
 
 def parameter_lines(params: Mapping[str, Any]) -> tuple[Line, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import warnings
 from collections.abc import Callable, Mapping
@@ -9,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from godfit.errors import InputError
-from godfit.report import drawing_process
-from godfit.report.sheet import Sheet, png
+from godfit.report.sheet import DPI
 from godfit.report.style import own_style
 from godfit.runtime.files import atomic_write
 from godfit.runtime.parallel import parallel_map
@@ -36,7 +36,7 @@ class PictureNotWritten(UserWarning):
 def write_result(
     folder: Path,
     record: tuple[str, Mapping[str, Any]],
-    figure: tuple[str, Callable[[], Figure]] | None,
+    figure: tuple[str, Callable[[], Figure]],
     images: Mapping[str, Callable[[Path], None]] | None = None,
 ) -> None:
     """Write a result into ``folder``, which is made if need be.
@@ -45,7 +45,7 @@ def write_result(
 
     - `record`: the name of the JSON file and what it holds. It is written first, so that no
       failure of a picture loses the numbers.
-    - `figure`: the name of the PNG file and what draws it; None without.
+    - `figure`: the name of the PNG file and what draws it.
     - `images`: names of further files, each with what writes it to a path.
 
     Each file appears whole or not at all, and other files in the folder stay. Raises OSError where
@@ -57,6 +57,12 @@ def write_result(
     text = json.dumps(values, indent=1, ensure_ascii=False) + "\n"
     atomic_write(folder / name, text.encode(errors="backslashreplace"))
 
+    def draw(path: Path) -> None:
+        drawn = io.BytesIO()
+        with own_style():
+            figure[1]().savefig(drawn, format="png", dpi=DPI)
+        atomic_write(path, drawn.getvalue())
+
     def failure(item: tuple[str, Callable[[Path], None]]) -> PictureNotWritten | None:
         name, write = item
         try:
@@ -65,32 +71,10 @@ def write_result(
             return PictureNotWritten(name, error)
         return None
 
-    pictures = list((images or {}).items())
-    if figure is not None:
-        pictures.insert(0, (figure[0], figure_writer(figure[1])))
+    pictures = [(figure[0], draw), *(images or {}).items()]
     for failed in parallel_map(failure, pictures):
         if failed is not None:
             warnings.warn(failed, stacklevel=3)
-
-
-def figure_writer(plot: Callable[[], Figure]) -> Callable[[Path], None]:
-    """What writes a figure to a path, whole or not at all."""
-
-    def write(path: Path) -> None:
-        with own_style():
-            drawn = png(plot())
-        atomic_write(path, drawn)
-
-    return write
-
-
-def sheet_writer(sheet: Callable[[], Sheet]) -> Callable[[Path], None]:
-    """The same for a sheet, which another process may draw."""
-
-    def write(path: Path) -> None:
-        atomic_write(path, drawing_process.png(sheet()))
-
-    return write
 
 
 def page_writer(page: Callable[[], str]) -> Callable[[Path], None]:

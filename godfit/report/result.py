@@ -20,8 +20,8 @@ from godfit.inference.observation import Picture
 from godfit.inference.problem import Problem
 from godfit.io.image import LEVELS, decode, write_image
 from godfit.models.base import AbstractModel
-from godfit.report.figure import fit_sheet
-from godfit.report.files import PAGE, page_writer, sheet_writer, write_result
+from godfit.report.figure import plot
+from godfit.report.files import PAGE, page_writer, write_result
 from godfit.report.live.data import NOTEBOOK_SIDE, page_data
 from godfit.report.live.page import framed
 from godfit.report.live.widget import viewer_widget
@@ -147,7 +147,7 @@ class FitResult:
         """A matplotlib figure: target, fitted, residual, parameters. A notebook displays it; its
         ``show()`` opens it elsewhere."""
         with as_guest(), own_style():
-            return fit_sheet(self).figure()
+            return plot(self)
 
     def save(self, folder: str | os.PathLike[str], command: str = "", page: bool = True) -> None:
         """Write fit.json, fit.png, render.png, with ``page`` report.html, and mask.png where it was
@@ -160,16 +160,13 @@ class FitResult:
         def mask(path: Path) -> None:
             write_image(path, np.clip(self.mask, 0, 1))
 
-        images: dict[str, Callable[[Path], None]] = {
-            "fit.png": sheet_writer(lambda: fit_sheet(self)),
-            "render.png": render,
-        }
+        images: dict[str, Callable[[Path], None]] = {"render.png": render}
         if self.mask_estimated:
             images["mask.png"] = mask
         record = ("fit.json", self.record(command))
         if page:
             images[PAGE] = page_writer(lambda: self.page(command))
-        write_result(Path(folder), record, None, images)
+        write_result(Path(folder), record, ("fit.png", self.plot), images)
 
     def __str__(self) -> str:
         return summary(self)

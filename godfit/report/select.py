@@ -20,7 +20,7 @@ from godfit.report.files import PAGE, page_writer, write_result
 from godfit.report.pages import select_page
 from godfit.report.record import fit_record
 from godfit.report.result import FitResult
-from godfit.report.sheet import INK, QUIET, Grid, Panel, PanelImage, Sheet, Words
+from godfit.report.sheet import INK, QUIET, Grid, Panel, Sheet, Words, picture
 from godfit.report.style import own_style
 
 if TYPE_CHECKING:
@@ -193,14 +193,14 @@ def _plot(found: Selection) -> Figure:
     image, rows = found.base.picture, found.rows
     height, width = image.size
     cut = (slice(None, None, -(-max(height, width) // PANEL_PIXELS)),) * 2
-    panels = [Panel("target", PanelImage(as_shown(image.levels[cut] / np.float32(LEVELS))))]
+    panels = [Panel("target", picture(as_shown(image.levels[cut] / np.float32(LEVELS))))]
     # The same colours for all: the recommended one's residual must be visible as well.
     limit = max(1.0, 3 * rows[found.chosen].rmse)
     for i, row in enumerate(rows):
         residual = worst_channel(_residual(row.rung, image))[cut]
         words = ((f"fitted - target; {row.rmse:.3g} levels rms", QUIET),)
         title, strong = f"{i + 1}. {row.rung.name}", i == found.chosen
-        panels.append(Panel(title, PanelImage(residual, limit=limit), words, limit, strong=strong))
+        panels.append(Panel(title, picture(residual, limit=limit), words, limit, strong=strong))
     chart = Panel("BIC above the least, by rung", _chart(found), ticks=True)
     blocks = Grid(tuple(panels), height / width), Grid((chart,), CHART_ASPECT), _rungs(found)
     return Sheet(found.sentence, found.recommended.like_noise, blocks).figure()

@@ -8,8 +8,7 @@ draw everything several times, and give up on small panels.
 from __future__ import annotations
 
 import functools
-import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -48,10 +47,6 @@ SIZES = {"title": 12.0, "head": 10.5, "text": 9.0, "mono": 9.0}
 """Sizes of the fonts in points, by use."""
 SIGNED = "RdBu_r"
 """Colours of a residual: blue below, red above."""
-DIMMED = 0.35
-"""Brightness of the target under the map of information, so that its colours are visible."""
-WHOLE = {"extent": (0, 1, 0, 1), "aspect": "auto"}
-"""A picture fills its panel."""
 INK, ALARM, QUIET = "black", "firebrick", "#444444"
 """Colours of texts: ordinary ones, bad news, captions."""
 
@@ -95,10 +90,6 @@ class Sheet:
     title: str
     good: bool
     blocks: tuple[Grid | Words, ...] = field(default=())
-
-    def png(self) -> bytes:
-        """The figure as a PNG file."""
-        return png(self.figure())
 
     def figure(self) -> Figure:
         """The figure, with a canvas of its own."""
@@ -350,52 +341,27 @@ def _fitting(word: str, room: float, font: str, bold: bool) -> int:
     return low
 
 
-@dataclass(frozen=True, eq=False)
-class PanelImage:
-    """Draws an image (h, w) or (h, w, 3) of [0, 1] into its panel, or with a ``limit`` levels
+def picture(image: np.ndarray, lights: np.ndarray | None = None, limit: float = 0.0) -> Any:
+    """What draws an image (h, w) or (h, w, 3) of [0, 1] into its panel, or with a ``limit`` levels
     between it and its negative, with the ``lights`` (u, v) marked."""
 
-    image: np.ndarray
-    lights: np.ndarray | None = None
-    limit: float = 0.0
-
-    def __call__(self, axes: Any) -> Any:
-        plain = self.limit or self.image.ndim == 2
+    def draw(axes: Any) -> Any:
         shown = axes.imshow(
-            self.image if plain else np.clip(self.image, 0, 1),
-            cmap=SIGNED if self.limit else "gray",
-            vmin=-self.limit if self.limit else 0,
-            vmax=self.limit or 1,
+            image if limit or image.ndim == 2 else np.clip(image, 0, 1),
+            cmap=SIGNED if limit else "gray",
+            vmin=-limit if limit else 0,
+            vmax=limit or 1,
+            extent=(0, 1, 0, 1),
+            aspect="auto",
             interpolation="nearest",
-            **WHOLE,
         )
-        for u, v in () if self.lights is None else self.lights:
+        for u, v in () if lights is None else lights:
             mark_light(axes, float(u), float(v))
         axes.set_xlim(0, 1)
         axes.set_ylim(0, 1)
         return shown
 
-
-@dataclass(frozen=True, eq=False)
-class SourceMap:
-    """Draws maps (rows, columns) over the dimmed ``target`` (h, w) or (h, w, 3), each in the colour
-    of its name."""
-
-    target: np.ndarray
-    maps: Mapping[str, np.ndarray]
-    colours: Mapping[str, str]
-
-    def __call__(self, axes: Any) -> Any:
-        from matplotlib.colors import to_rgb
-
-        grey = self.target if self.target.ndim == 2 else self.target.mean(-1)
-        axes.imshow(np.clip(grey, 0, 1) * DIMMED, cmap="gray", vmin=0, vmax=1, **WHOLE)
-        # The square root makes the faint parts visible.
-        strength = {n: np.sqrt(share / max(share.max(), 1e-30)) for n, share in self.maps.items()}
-        colour = sum(s[..., None] * np.array(to_rgb(self.colours[n])) for n, s in strength.items())
-        alpha = np.max(list(strength.values()), 0)
-        layer = np.clip(np.concatenate([np.asarray(colour), alpha[..., None]], -1), 0, 1)
-        return axes.imshow(layer, interpolation="bilinear", **WHOLE)
+    return draw
 
 
 def mark_light(axes: Any, u: float, v: float) -> None:
@@ -413,10 +379,3 @@ def mark_light(axes: Any, u: float, v: float) -> None:
         xytext=tuple(tail),
         arrowprops={"arrowstyle": "-|>", "color": "gold", "lw": 2.5, "ec": "black"},
     )
-
-
-def png(figure: Figure) -> bytes:
-    """A figure as a PNG file."""
-    data = io.BytesIO()
-    figure.savefig(data, format="png", dpi=DPI)
-    return data.getvalue()
