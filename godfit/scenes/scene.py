@@ -29,6 +29,7 @@ from godfit.io.sidecar import SIDECAR_SCATTERING, shader_beside
 from godfit.io.toml_table import Colour, Table
 from godfit.io.transfer import TRANSFERS, checked_transfer
 from godfit.runtime.guest import own_settings
+from godfit.runtime.host_state import warnings_kept
 from godfit.runtime.memory import check_memory
 from godfit.scattering.conventions import AUTO, convention
 from godfit.scattering.parameters import SCATTERING as PARAMETERS
@@ -212,6 +213,7 @@ def _rotation(angle: Float[Array, ""], i: int, j: int) -> Float[Array, "3 3"]:
     return jnp.stack([jnp.stack(row) for row in rows])
 
 
+@warnings_kept()
 def read_scene(path: str | os.PathLike[str]) -> Scene:
     """Read a scene file, or a glTF file with a camera and a light of its own. Raises InputError
     that names the file, the key, the expected and the actual value.
