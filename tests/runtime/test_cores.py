@@ -35,7 +35,7 @@ def fitted(cores, folder):
 )
 def test_the_number_of_cores_changes_last_digits_alone(tmp_path):
     for name, values in zip(("target", "mask"), known_truth.picture(1), strict=True):
-        write_image(tmp_path / f"{name}.png", values)
+        write_image(tmp_path / f"{name}.png", values / 255)
     both = sorted(os.sched_getaffinity(0))[:2]
     one, two = (fitted(cores, tmp_path) for cores in (both[:1], both))
     for key in one["params"]:
