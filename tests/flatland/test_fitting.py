@@ -187,9 +187,8 @@ def test_nonsense_is_refused(files, options, message):
         fit(files / "t.png", **options)
 
 
-def test_a_target_through_the_command_line(tmp_path, capsys):
-    # One, as each size compiles the fit anew; test_data_synthetic.py renders all of them.
-    name = "plane_sand_2"
+@pytest.mark.parametrize("name", ["plane_window", "plane_sand_2"])
+def test_targets_through_the_command_line(name, tmp_path, capsys):
     arguments = ["fit", str(FOLDER / f"{name}.png"), "-o", str(tmp_path / "o"), "--json", "-q"]
     assert main(arguments) == 0
     printed = capsys.readouterr()
@@ -383,13 +382,10 @@ class TestFitCommand:
         )
 
     def test_compare_includes_it(self, files, capsys):
-        # Size, shader and samples are those of studies/test_compare.py, whose programs serve.
-        values = drawing((96, 96))
-        (files / "c.png").write_bytes(imagecodecs.png_encode(values))
-        write_image(files / "t.png", pictured(values) / 255)
-        write_image(files / "m.png", 1 - values[..., 3] / 255)
+        mask = 1 - drawing()[..., 3] / 255
+        write_image(files / "m.png", mask)
         command = ["compare", files / "t.png", "--mask", files / "m.png", "--canvas",
-                   files / "c.png", "--rays", RAYS, "--shader", "dawntime", "--samples", 60,
+                   files / "c.png", "--rays", RAYS, "--shader", "mitchell", "--samples", 20,
                    "--fov", 60, "--distance", 900, "-o", files / "o", "-q", "--json"]  # fmt: skip
         assert main([str(a) for a in command]) == 0
         found = json.loads(capsys.readouterr().out)
