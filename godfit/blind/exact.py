@@ -65,10 +65,8 @@ MOST_SECTORS = 24
 """Sectors about the light whose pixels err together, at least: an object lies in a few of them."""
 ROUNDS = 25
 """Rounds of the likelihood, at most: the valley in which attenuation and gain trade is long."""
-
-
 DISC_MARGIN = 1.25
-"""How much larger than its circle a disc is taken, where no ray may meet it: a sphere at 60 degrees
+"""How much larger than its circle a disc is taken, where no ray may meet it: a sphere at 30 degrees
 from the axis of a camera is an ellipse that is 1.15 times as long and off its centre."""
 FEWEST_BEYOND = 2_000
 """Pixels whose rays end before the disc, without which nothing is solved for there."""

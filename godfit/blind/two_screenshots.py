@@ -24,7 +24,7 @@ FAINTEST_PASS = 3.0
 FEWEST_KNOWN = 0.1
 """Share of the picture in which the light pass must be known."""
 EXPLAINS = -0.3
-"""Cost for each pair of pixels below which a light explains the light pass: of 16 real pairs all
+"""Cost for each pair of pixels below which a light explains the light pass: of 14 real pairs all
 whose light was found have less, and one whose light was 1.6% of the picture off has more."""
 NOT_ONE_LIGHT = (
     "no single light explains what the two screenshots differ by: another tone curve, several "
