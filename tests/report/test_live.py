@@ -18,7 +18,9 @@ from godfit.report.live.glsl import fragment_shader, is_drawn
 from godfit.report.live.page import Page, Section, framed
 from godfit.report.live.widget import viewer_widget
 from godfit.report.pages import clip_page, compare_page, fit_page, select_page
-from godfit.scattering.conventions import CONVENTIONS
+from godfit.scattering.conventions import CONVENTIONS, convention
+from godfit.scattering.engines import ENGINES
+from godfit.studies.export import for_engine
 from tests.support.browser import DRAWN, READY, launching, levels, opened, wait_for
 from tests.support.shown_results import clip_result, comparison, fit_result, selection
 
@@ -43,7 +45,7 @@ def shown_of(shader, half=False, background=False, lights=1):
     if half:
         # As a mask that was scaled down: values between the levels.
         mask = 0.5 * (mask + mask_of(low, 1))
-    exposure = 0.9 if CONVENTIONS[shader].box else 0.09
+    exposure = 0.9 if convention(shader).box else 0.09
     model = Mitchell(exposure, 0.93, 0.83, 0.5, LIGHTS[:lights], shader, 20)
     rng = np.random.default_rng(2)
     back = rng.random((*SIZE, 3)).astype(np.float32) * 0.3 if background else None
@@ -172,21 +174,42 @@ def test_a_slider_and_a_dragged_light_change_the_picture_as_the_model_says(brows
         np.testing.assert_allclose(levels(page), before, atol=1e-3)
 
 
-def test_copied_text_has_the_numbers_on_the_page(browser, tmp_path):
-    one = shown_of("dawntime")
+def copied(page, shader):
+    """The text that the button copies once the page has drawn another shader."""
+    page.select_option("select[name=convention]", shader)
+    levels(page)
+    page.get_by_role("button", name="copy").click()
+    return page.locator("textarea").input_value()
+
+
+def test_copied_text_is_what_export_prints_with_the_numbers_on_the_page(browser, tmp_path):
+    one = shown_of("dawntime", lights=2)
+    values = {name: e.value for name, e in one.params.items()} | {"density": 0.7}
     with opened(browser, stored(tmp_path, page_of(one))) as page:
+        page.locator("input[name=density]").evaluate(
+            "(e) => { e.value = .7; e.dispatchEvent(new Event('input')); }"
+        )
+        for name in ("vesper", "three", "pmndrs", "moonshine", "mean", "sun-shafts", "mitchell"):
+            numbers = [values[n] for n in ("exposure", "decay", "density", "weight")]
+            lights = [(values[f"{n}_x"], values[f"{n}_y"]) for n in ("light", "light2")]
+            model = Mitchell(*numbers, lights, name, 20)
+            engine = next(e for e in ENGINES.values() if e.convention == name)
+            comments, *code = copied(page, name).rpartition("40x24 pixels\n")
+            assert "".join(code[1:]) == for_engine(model, engine, None).code, name
+            assert "godfit fit x.png" in comments
         page.select_option("select[name=convention]", "three")
         levels(page)
         assert page.locator("input[name=decay]").is_disabled()
-        page.select_option("select[name=convention]", "vesper")
-        levels(page)
-        assert page.locator("input[name=decay]").is_enabled()
-        page.get_by_role("button", name="copy").click()
-        text = page.locator("textarea").input_value()
+
+
+def test_copied_text_of_a_users_own_shader_is_the_settings_of_a_fit(browser, tmp_path):
+    own = dataclasses.replace(CONVENTIONS["dawntime"], name="mine.toml", gain=0.7)
+    one = shown_of(convention(own).key)
+    with opened(browser, stored(tmp_path, page_of(one))) as page:
+        text = copied(page, one.model.shader)
     found = tomllib.loads(text)
     assert text.startswith("# godfit fit x.png\n")
-    assert (found.pop("shader"), found.pop("samples")) == ("vesper", 20)
-    assert found.pop("pass_size") == [SIZE[1], SIZE[0]]
+    assert (found.pop("shader"), found.pop("samples")) == (one.model.shader, 20)
     assert found == pytest.approx({name: e.value for name, e in one.params.items()}, rel=1e-6)
 
 

@@ -7,18 +7,50 @@ in the engine's direction of v, and gives lines of code.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 from godfit.scattering.conventions import CONVENTIONS
 from godfit.scattering.conventions.composed import SUN_SHAFTS_REACH
 
-Values = Mapping[str, float]
-Light = tuple[float, float]
+
+class Slot(NamedTuple):
+    """A number that is not known yet: a page fills it in when it is copied. ``before`` and
+    ``after`` are what is computed of it: 1 less it, 1 by it, it by a number."""
+
+    name: str
+    before: str = ""
+    after: str = ""
+
+    def __str__(self) -> str:
+        return f"{{{{{self.before}{self.name}{self.after}}}}}"
+
+    def __rsub__(self, one: int) -> Slot:
+        return Slot(self.name, before="1-")
+
+    def __rtruediv__(self, one: int) -> Slot:
+        return Slot(self.name, before="1/")
+
+    def __truediv__(self, by: float) -> Slot:
+        return Slot(self.name, after=f"/{float(by)!r}")
 
 
-def number(value: float | int) -> str:
+Values = Mapping[str, Any]
+"""Numbers, or slots for them, by name."""
+Light = tuple[Any, Any]
+
+
+def number(value: float | int | Slot) -> str:
     """A number with the digits of single precision, and a point."""
+    if isinstance(value, Slot):
+        return str(value)
     text = f"{value:.9g}"
     return text if any(c in text for c in ".en") else f"{text}.0"
+
+
+def samples(values: Values) -> str:
+    """The number of samples."""
+    value = values["samples"]
+    return str(value) if isinstance(value, Slot) else str(int(value))
 
 
 def place(light: Light) -> str:
@@ -39,7 +71,7 @@ def uniforms(values: Values, light: Light, shader: str) -> list[str]:
     known = {key: own[key] for key in NUMBERS if key in own}
     return [
         *_names(values, "const float {} = {};", known),
-        f"const int {own['samples']} = {int(values['samples'])};",
+        f"const int {own['samples']} = {samples(values)};",
         f"const vec2 {own['light']} = vec2({place(light)});",
     ]
 
@@ -49,7 +81,7 @@ def hlsl(values: Values, light: Light, shader: str) -> list[str]:
     known = {key: own[key] for key in NUMBERS if key in own}
     return [
         *_names(values, "static const float {} = {};", known),
-        f"#define {own['samples']} {int(values['samples'])}",
+        f"#define {own['samples']} {samples(values)}",
         f"static const float2 {own['light']} = float2({place(light)});",
     ]
 
@@ -57,7 +89,7 @@ def hlsl(values: Values, light: Light, shader: str) -> list[str]:
 def babylon(values: Values, light: Light, shader: str) -> list[str]:
     return [
         "const rays = new BABYLON.VolumetricLightScatteringPostProcess(",
-        f'  "rays", 1.0, camera, mesh, {int(values["samples"])},',
+        f'  "rays", 1.0, camera, mesh, {samples(values)},',
         "  BABYLON.Texture.BILINEAR_SAMPLINGMODE, engine, false);",
         *_names(values, "rays.{} = {};", {key: key for key in NUMBERS}),
         f"// The mesh lies at ({place(light)}) of the screen, u to the right and v up.",
@@ -68,7 +100,7 @@ def pmndrs(values: Values, light: Light, shader: str) -> list[str]:
     blend = "SCREEN" if shader == "screen" else "ADD"
     return [
         "const effect = new GodRaysEffect(camera, lightSource, {",
-        f"  samples: {int(values['samples'])},",
+        f"  samples: {samples(values)},",
         *_names(values, "  {}: {},", {key: key for key in NUMBERS}),
         "  clampMax: 1, blur: false, resolutionScale: 1,",
         f"  blendFunction: BlendFunction.{blend},",
@@ -83,7 +115,7 @@ def glsl_godrays(values: Values, light: Light, shader: str) -> list[str]:
     )
     return [
         f"vec3 rays = godrays({density}, {weight}, {decay}, {exposure}, "
-        f"{int(values['samples'])}, occlusionTexture, vec2({place(light)}), uv);",
+        f"{samples(values)}, occlusionTexture, vec2({place(light)}), uv);",
     ]
 
 
@@ -91,7 +123,7 @@ def moonshine(values: Values, light: Light, shader: str) -> list[str]:
     return [
         "effect = moonshine(moonshine.effects.godsray)",
         *_names(values, "effect.godsray.{} = {}", {key: key for key in NUMBERS}),
-        f"effect.godsray.samples = {int(values['samples'])}",
+        f"effect.godsray.samples = {samples(values)}",
         f"effect.godsray.light_position = {{{place(light)}}}",
     ]
 
@@ -100,7 +132,7 @@ def panda3d(values: Values, light: Light, shader: str) -> list[str]:
     density, decay, exposure = (number(values[key]) for key in ("density", "decay", "exposure"))
     return [
         "filters = CommonFilters(base.win, base.cam)",
-        f"filters.setVolumetricLighting(caster, numsamples={int(values['samples'])}, "
+        f"filters.setVolumetricLighting(caster, numsamples={samples(values)}, "
         f"density={density}, decay={decay}, exposure={exposure})",
         f"# The caster lies at ({place(light)}) of the screen, u to the right and v up.",
     ]
@@ -111,7 +143,7 @@ def tsl_radial_blur(values: Values, light: Light, shader: str) -> list[str]:
     return [
         "const rays = radialBlur(texture, {",
         f"  center: vec2({place(light)}), weight: float({weight}), decay: float({decay}),",
-        f"  count: int({int(values['samples'])}), exposure: float({exposure}),",
+        f"  count: int({samples(values)}), exposure: float({exposure}),",
         "});",
     ]
 
@@ -119,7 +151,7 @@ def tsl_radial_blur(values: Values, light: Light, shader: str) -> list[str]:
 def reshade(values: Values, light: Light, shader: str) -> list[str]:
     return [
         "[PPFX_Godrays.fx]",
-        f"pGodraysSampleAmount={int(values['samples'])}",
+        f"pGodraysSampleAmount={samples(values)}",
         f"pGodraysSource={number(light[0])},{number(light[1])}",
         f"pGodraysExposure={number(values['exposure'])}",
         f"pGodraysFreq={number(1 / values['density'])}",
@@ -133,7 +165,7 @@ def unity_urp(values: Values, light: Light, shader: str) -> list[str]:
         "resolutionScale = 1f;",
         f"intensity = {number(values['exposure'])}f;  // _Intensity",
         f"blurWidth = {number(values['density'])}f;  // _BlurWidth",
-        f"// NUM_SAMPLES {int(values['samples'])}; _Center ({place(light)})",
+        f"// NUM_SAMPLES {samples(values)}; _Center ({place(light)})",
     ]
 
 
@@ -191,7 +223,7 @@ def godot3(values: Values, light: Light, shader: str) -> list[str]:
     return [
         f"shader_param/exposure = {number(values['exposure'])}",
         "shader_param/attenuate = 1.0",
-        f"shader_param/num_samples = {int(values['samples'])}",
+        f"shader_param/num_samples = {samples(values)}",
         "shader_param/dither = 0.0",
         f"; the light projects to ({place(light)}), v down",
     ]
@@ -200,7 +232,7 @@ def godot3(values: Values, light: Light, shader: str) -> list[str]:
 def godot4(values: Values, light: Light, shader: str) -> list[str]:
     return [
         "half_size = false",
-        f"radial_blur_samples = {int(values['samples'])}",
+        f"radial_blur_samples = {samples(values)}",
         "radial_blur_radius = 150.0",
         f"radial_blur_effect_amount = {number(values['density'])}",
         f"# overlay.glsl: {number(values['exposure'])} in place of 1.5",
@@ -211,7 +243,7 @@ def godot4(values: Values, light: Light, shader: str) -> list[str]:
 def jmonkey(values: Values, light: Light, shader: str) -> list[str]:
     near = (1 - abs(light[0] - 0.5)) * (1 - abs(light[1] - 0.5))
     return [
-        f"filter.setNbSamples({int(values['samples'])});",
+        f"filter.setNbSamples({samples(values)});",
         "filter.setBlurStart(0.02f);",
         f"filter.setBlurWidth({number(values['density'])}f);",
         f"filter.setLightDensity({number(values['exposure'] / max(near, 1e-6))}f);",

@@ -28,10 +28,12 @@ from godfit.models.base import AbstractModel
 from godfit.models.mitchell import Mitchell
 from godfit.models.staged import Staged
 from godfit.models.tinted import Tinted
+from godfit.report.engines.engine_code import COMMENTS, TEMPLATES, Slot
 from godfit.report.live.glsl import described, is_drawn
 from godfit.report.text import half_sentence
 from godfit.runtime.guest import as_guest
-from godfit.scattering.conventions import CONVENTIONS
+from godfit.scattering.conventions import CONVENTIONS, Convention
+from godfit.scattering.engines import ENGINES
 from godfit.scattering.parameters import is_light, light_parameters
 
 PAGE_SIDE = 1024
@@ -247,7 +249,9 @@ def controls(shown: Shown) -> dict[str, Any]:
     if not is_drawn(shading.convention):
         reason = f"{shading.shader} is a composition of sums, which no page runs"
         return {"live": False, "reason": reason, "params": [], "lights": []}
-    drawn = {name: described(shader) for name, shader in CONVENTIONS.items() if is_drawn(shader)}
+    # A user's own shader is none of those that are shipped.
+    shaders = {name: shader for name, shader in CONVENTIONS.items() if is_drawn(shader)}
+    shaders[shading.shader] = shading.convention
     params = dict(shown.params)
     lights = [row.name for row in light_parameters(len(shown.model.light))]
     placed = zip(lights, np.asarray(shown.model.light).reshape(-1), strict=True)
@@ -255,15 +259,17 @@ def controls(shown: Shown) -> dict[str, Any]:
     params |= {name: Estimate(float(v), None, True) for name, v in placed if name not in params}
     moved = {name: e for name, e in params.items() if name in MOVED or is_light(name)}
     rows = [slider(name, e, shown) for name, e in moved.items()]
+    pairs = [lights[i : i + 2] for i in range(0, len(lights), 2)]
     return {
         "live": True,
         "params": rows,
-        "lights": [lights[i : i + 2] for i in range(0, len(lights), 2)],
+        "lights": pairs,
         "shader": shading.shader,
         "samples": int(shading.samples),
-        # A user's own shader is none of those that are shipped.
-        "conventions": drawn | {shading.shader: described(shading.convention)},
-        "copy": copied_text(shown, [row["name"] for row in rows]),
+        "conventions": {
+            name: described(shader) | {"copy": copied_text(shown, shader, pairs)}
+            for name, shader in shaders.items()
+        },
     }
 
 
@@ -310,18 +316,28 @@ def slider(name: str, e: Estimate, shown: Shown) -> dict[str, Any]:
     }
 
 
-def copied_text(shown: Shown, names: list[str]) -> str:
-    """What the copy button copies, with {{NAME}} for each number: the command and the parameters
-    as TOML.
-
-    ``godfit export`` prints the same numbers in an engine's own names; its text takes the place of
-    this one.
-    """
-    lines = [f"# {line}" for line in shown.command.splitlines()]
-    lines += ['shader = "{{shader}}"', "samples = {{samples}}"]
+def copied_text(shown: Shown, shader: Convention, lights: list[list[str]]) -> str:
+    """What the copy button copies, with {{NAME}} for each number: what ``godfit export`` prints for
+    the engine of a ``shader``, or the settings of a fit where there is none. ``lights`` are the
+    names of the parameters of each."""
     height, width = shown.picture.mask.shape[:2]
-    lines.append(f"pass_size = [{width}, {height}]")
-    return "\n".join([*lines, *(f"{name} = {{{{{name}}}}}" for name in names)]) + "\n"
+    told = [*shown.command.splitlines(), f"light pass of {width}x{height} pixels"]
+    engine = next((e for e in ENGINES.values() if e.convention == shader.key), None)
+    # What is exported reads the whole mask.
+    if engine is None or shader.threshold:
+        names = [*shader.parameters, *(name for pair in lights for name in pair)]
+        lines = ['shader = "{{shader}}"', f"samples = {Slot('samples')}"]
+        lines += [f"{name} = {Slot(name)}" for name in names]
+        return "\n".join([*(f"# {line}" for line in told), *lines]) + "\n"
+    told = [engine.title, *(f"exact with: {option}" for option in engine.options), *told]
+    mark = COMMENTS.get(engine.template, "//")
+    values = {name: Slot(name) for name in (*shader.parameters, "samples")}
+    shown_name = shader.blend if engine.template == "pmndrs" else engine.convention
+    lines = [f"{mark} {line}" for line in told]
+    for u, v in lights:
+        light = Slot(u), 1 - Slot(v) if engine.v_down else Slot(v)
+        lines += TEMPLATES[engine.template](values, light, shown_name)
+    return "\n".join(lines) + "\n"
 
 
 def _map(name: str, share: np.ndarray) -> dict[str, Any]:

@@ -239,6 +239,16 @@ function still(canvas, target, residual, mode, limit) {
   context.putImageData(picture, 0, 0);
 }
 
+// Text with the numbers in its slots: {{name}}, {{1-name}}, {{1/name}} and {{name/number}}. All but
+// the number of samples have a point.
+function filled(text, values) {
+  return text.replace(/\{\{(1[-/])?(\w+)(?:\/([-+.\de]+))?\}\}/g, (_, before, name, by) => {
+    const x = values[name], y = before === '1-' ? 1 - x : before === '1/' ? 1 / x : by ? x / by : x;
+    const number = short(y, 9);
+    return name === 'samples' || /[.e]/.test(number) ? number : `${number}.0`;
+  });
+}
+
 // Text to the clipboard. Frames and file:// have no Clipboard API: a selected text area serves.
 async function copy(text, area) {
   area.value = text;
@@ -450,9 +460,8 @@ export async function render({model, el}) {
     }}), part('button', {textContent: 'copy', onclick: () => copy(copied(), area)}), area);
     el.addEventListener('pointerenter', redraw, {once: true});
   }
-  const copied = () => data.copy
-    .replaceAll('{{shader}}', state.shader).replaceAll('{{samples}}', state.samples)
-    .replace(/\{\{(\w+)\}\}/g, (_, name) => short(state.values[name], 9));
+  const copied = () => filled(data.conventions[state.shader].copy.replaceAll('{{shader}}', state.shader),
+    {...state.values, samples: state.samples});
   el.viewer = {state, set, copied, redraw, engine: () => engine};
   model.on('change:values', () => {
     for (const [name, value] of Object.entries(model.get('values')))
