@@ -92,7 +92,8 @@ def export(path: str, to: str, files: Files | None = None) -> Export:
     model = mitchell_at(settings, {}, [])
     if engine.kind == "port":
         code = port(model, engine.template, engine.v_down)
-        return Export(engine, code, _values(model), True, None, _pass_note(settings))
+        notes = _threshold_note(model.convention) + _pass_note(settings)
+        return Export(engine, code, _values(model), True, None, notes)
     images = _images(path, files, engine)
     return for_engine(model, engine, images, _pass_note(settings))
 
@@ -155,6 +156,13 @@ def _own_pixel_note(model: Mitchell, other: Mitchell) -> list[str]:
         f"all other taps are the same; the pixel's own value has a factor of {there:.4g}, in the "
         f"fit {here:.4g}"
     ]
+
+
+def _threshold_note(shader: Convention) -> tuple[str, ...]:
+    if not shader.threshold:
+        return ()
+    note = f"the threshold of {shader.threshold:g} acts on what is filtered, in the fit on texels"
+    return (f"{note}: edges of the mask differ",)
 
 
 def _pass_note(settings: dict[str, Any]) -> tuple[str, ...]:

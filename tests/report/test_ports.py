@@ -123,19 +123,29 @@ def hlsl(code, language):
             "struct Varyings { float4 position : SV_POSITION; float2 texcoord : TEXCOORD0; };\n"
         )
         return stubs + re.sub(r"#include.*\n", "", code)
+    if language == "reshade-fx":
+        # Its textures and samplers are one; its include holds what is drawn on.
+        code = re.sub(r"#include.*\n|(texture2D|sampler2D) \w+.*\n", "", code)
+        code = code.replace("tex2Dlod(Mask, float4(at, 0.0, 0.0))", "mask.Sample(clamped, at)")
+        code = code.replace("tex2D(ReShade::BackBuffer, uv)", "back.Sample(clamped, uv)")
+        stubs = "SamplerState clamped;\nTexture2D mask;\nTexture2D back;\n"
+        return stubs + code[: code.index("technique")]
     code = code[: code.index("technique")].replace("texture2d", "Texture2D")
     code = re.sub(r"sampler_state (\w+) \{.*?\};", r"SamplerState \1;", code)
     return code.replace("POSITION", "SV_POSITION").replace("TARGET", "SV_Target")
 
 
 @pytest.mark.skipif(shutil.which("glslangValidator") is None, reason="no glslang here")
-@pytest.mark.parametrize("language", ["glsl", "shadertoy", "godot", "unity-hlsl", "obs"])
+@pytest.mark.parametrize(
+    "language", ["glsl", "shadertoy", "godot", "unity-hlsl", "reshade-fx", "obs"]
+)
 def test_a_compiler_takes_it(language, tmp_path):
-    """Godot's, Unity's and OBS's own words are replaced by GLSL's and HLSL's first."""
+    """Godot's, Unity's, ReShade's and OBS's own words are replaced by GLSL's and HLSL's first."""
     for shader in SHADERS:
         code = port(model(shader), language, ENGINES[language].v_down)
         file = tmp_path / f"{shader}.frag"
-        entry = {"unity-hlsl": "Frag", "obs": "mainImage"}.get(language)
+        entries = {"unity-hlsl": "Frag", "reshade-fx": "Rays", "obs": "mainImage"}
+        entry = entries.get(language)
         file.write_text(hlsl(code, language) if entry else glsl(code, language))
         options = ["-D", "-S", "frag", "-e", entry, "-V"] if entry else ["-S", "frag"]
         out = ["-o", str(tmp_path / "out.spv")] if entry else []
