@@ -11,6 +11,7 @@ import re
 import shlex
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 
@@ -20,8 +21,10 @@ import godfit.fitting
 import godfit.scenes.view
 import godfit.studies.clip
 import godfit.studies.simplify
-from godfit.__main__ import main
+from godfit.__main__ import cli, main
 from godfit.io.image import write_image
+from godfit.scattering.conventions import CONVENTIONS
+from godfit.scattering.conventions.shader_file import shader_text
 
 ROOT = Path(__file__).parents[1]
 PAGES = ("README", "docs/tutorial", "docs/howto", "docs/engines", "docs/troubleshooting")
@@ -30,6 +33,7 @@ COMMAND = re.compile(
     r"((?:fit|mask|render|select|simplify|compare|shaders)\b[^`\n]*)$",
     re.MULTILINE,
 )
+BATCH = re.compile(r"^\s+python -m godfit batch ((?:[^`\n\\]|\\\n)*)$", re.MULTILINE)
 FRAMES = ["frame_1.png", "frame_2.png"]
 """What a shell puts in place of frame_*.png."""
 SCENE = """
@@ -92,6 +96,7 @@ def folder(tmp_path_factory):
         write_image(folder / f"{name}.png", rng.random((24, 24)))
     (folder / "photograph.png").rename(folder / "photograph.jpg")
     (folder / "scene.toml").write_text(SCENE)
+    (folder / "mine.toml").write_text(shader_text(CONVENTIONS["dawntime"]))
     (folder / "data_synthetic" / "disc.toml").write_text('mask = "disc_mask.png"\n')
     for name in ("frame", "disc"):
         (folder / f"{name}.godfit" / "fit.json").write_text(json.dumps(SAVED))
@@ -131,3 +136,15 @@ def test_command(args, folder, without_search, monkeypatch, capsys, single_preci
         status = main(args)
         assert status == 0, capsys.readouterr().err
     assert "error" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("page", ["docs/howto", "docs/batch"])
+def test_lines_of_batches_are_taken(page):
+    """What they do to frames, alone, in shards and on a cluster of the loopback, is tested with the
+    batches."""
+    lines = BATCH.findall((ROOT / f"{page}.md").read_text(encoding="utf-8"))
+    assert len(lines) >= 2
+    command = cli.get_command(click.Context(cli), "batch")
+    for line in lines:
+        given = shlex.split(line.replace("\\\n", " "))
+        assert command.make_context("batch", given).params["output"] == "run"

@@ -23,7 +23,7 @@ import pytest
 from godfit.__main__ import cli
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 SOURCES = sorted((ROOT / "godfit").rglob("*.py"))
 LONGEST = 35
 """Words of a sentence, at most: two lines of 100 columns."""

@@ -11,7 +11,7 @@ from godfit.io.image import write_image
 from tests.support import known_truth
 
 STATED = 0.01
-"""Share of a standard error by which numbers may differ: docs/how-it-works.md states it."""
+"""Share of a standard error by which numbers may differ, as docs/how-it-works/inference.md says."""
 APART = {"timing_s", "command", "params", "combined", "correlations", "covariance", "where"}
 
 
