@@ -152,8 +152,11 @@ def main() -> None:
         many = cost([command(folder, "apart", given.frames, *s) for s in shards], environment)
         each = many.minus(few, given.frames - FEW)
         print(f"{count:>5} apart  {line(each)}")
+        # In kilobytes, the largest of all processes that were waited for.
+        peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
         commit, size = commit_seconds(folder)
         way = way_seconds(folder)
+    print(f"memory of the largest process: {peak / 1e6:.2f} GB")
     print(
         f"journal: {1e3 * commit:.2f} ms a record of {size:,} bytes; way: {1e3 * way:.2f} ms a task"
     )
