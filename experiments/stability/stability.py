@@ -4,9 +4,10 @@
 
 A case is made at two sizes and must end as promised: "recovers" (converged, every determined
 parameter within its tolerance or five of its errors), "refuses" (not converged, or an InputError of
-one line), "warns" (a warning that says what), "names" (what is undetermined is named), "holds" (a
-law of the forward sum). No case may end in a value that is not finite, in a traceback, or in
-"converged" with a wrong answer. The exit status is 1 if a promise is broken.
+one line), "warns" (a warning that says what), "names" (what is undetermined is named, or which
+frame), "finds the light" (without a mask: within 2% of the picture), "holds" (a law of the forward
+sum). No case may end in a value that is not finite, in a traceback, or in "converged" with a wrong
+answer. The exit status is 1 if a promise is broken.
 """
 
 from __future__ import annotations
