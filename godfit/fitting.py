@@ -240,6 +240,7 @@ def found_for(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
         opened=posed.opened + found.opened,
         shifts=found.shifts + posed.shifts,
         pass_scale=_scale_of(found, request, posed),
+        objection=found.objection or posed.objection,
     )
     return found, found_out + posed.notes + found.notes, posed.images
 
@@ -413,7 +414,8 @@ def _target_of(request: Request) -> Image:
 class Posed(NamedTuple):
     """A problem ready to be solved: parameters ``given`` by name, notes, the images by role without
     their values, and the scene that the mask was drawn from; ``opened`` and ``shifts`` as in
-    ``Found``; the mask as it was given, ``unregistered``, where it is to be registered."""
+    ``Found``; the mask as it was given, ``unregistered``, where it is to be registered; why a fit
+    under it cannot be relied on, ``objection``."""
 
     problem: Problem
     given: dict[str, float]
@@ -423,6 +425,7 @@ class Posed(NamedTuple):
     opened: tuple[tuple[int, list[int]], ...] = ()
     unregistered: np.ndarray | None = None
     shifts: tuple[np.ndarray, ...] = ()
+    objection: str = ""
 
 
 def _pose(request: Request) -> Posed:
@@ -519,11 +522,14 @@ def _ready(request: Request) -> Posed:
         picture = refined_mask(problem.model, problem, posed.scene, posed.given, request.report)
         problem = problem.replaced(picture=picture)
     shifts: tuple[np.ndarray, ...] = ()
+    objection = ""
     if posed.unregistered is not None:
         moved = registration.registered(problem, posed.unregistered, posed.given, request.report)
         problem, shifts = problem.replaced(picture=moved.picture), moved.shifts
-        notes += (moved.note,)
-    return posed._replace(problem=problem, notes=notes, opened=always_open, shifts=shifts)
+        notes, objection = (*notes, moved.note), moved.objection
+    return posed._replace(
+        problem=problem, notes=notes, opened=always_open, shifts=shifts, objection=objection
+    )
 
 
 def _rival(request: Request, posed: Posed) -> Callable[[], Problem] | None:

@@ -127,7 +127,8 @@ class Picture:
     ``half`` everywhere. ``floor`` and ``ceiling``
     are the levels at which the target was clipped: None stands for the ends of the scale of a
     target with levels, and for none of a target of floats. ``arithmetic`` is one of ARITHMETICS,
-    that of the program that drew the target.
+    that of the program that drew the target. ``texel_variance`` has the shape of the mask: the
+    variance of each of its texels, where they are not known as they are given.
     """
 
     levels: np.ndarray
@@ -141,6 +142,7 @@ class Picture:
     ceiling: float | None = None
     rounding: tuple[np.ndarray, np.ndarray] | None = None
     arithmetic: str = EXACT
+    texel_variance: np.ndarray | None = None
 
     @staticmethod
     def make(
@@ -204,6 +206,7 @@ class Picture:
             mask=smaller(self.mask),
             background=None if self.background is None else smaller(self.background),
             rounding=None if self.rounding is None else tuple(map(smaller, self.rounding)),
+            texel_variance=None,
         )
 
     @property
@@ -224,8 +227,8 @@ class Picture:
         return self.levels.shape[-1]
 
     def with_mask(self, mask: np.ndarray) -> Picture:
-        """The same picture under another mask, of any size."""
-        other = dataclasses.replace(self, mask=mask)
+        """The same picture under another mask, of any size, whose texels are known."""
+        other = dataclasses.replace(self, mask=mask, texel_variance=None)
         # These depend on the levels alone and are computed once.
         vars(other).update({name: getattr(self, name) for name in CLIPPED})
         return other

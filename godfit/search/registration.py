@@ -14,12 +14,14 @@ which is exact for a light on the picture: its rays do not leave the frame.
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from godfit.errors import InputError, Remark
+from godfit.inference.allowances.mask_rounding import edge_variance
 from godfit.inference.observation import Picture
 from godfit.inference.problem import SEARCH_PIXELS, Problem
 from godfit.inference.settle import Settled, settle
@@ -50,11 +52,15 @@ WHOLE = 0.05
 
 WITHOUT_EDGES = 0.01
 """Noise in levels up to which a resized mask was restored: its edges then leave nothing."""
-RESIZED = (
-    "; a resize changed the mask's edges, and errors do not allow for that: exposure and weight "
-    "may be ten errors off; give the mask as the shader read it"
-)
+RESIZED = "; a resize made the mask's edges grey, and errors allow for what they were"
 """Words after the note where more is left."""
+LOST_LEVELS, LOST_SHARE = 1.0, 0.25
+"""Noise in levels that is left under a resized mask, and its share of what was before, from which
+the mask's edges are lost: rays of wrong edges are no noise, and no error allows for them."""
+LOST = (
+    "the registered mask leaves noise of {:.2g} levels, of {:.2g} before: a resize lost its edges; "
+    "give the mask as the shader read it"
+)
 
 
 class Map(NamedTuple):
@@ -99,11 +105,13 @@ class Map(NamedTuple):
 
 class Registered(NamedTuple):
     """The ``picture`` under the registered mask, a ``note`` on the map, and ``shifts``, the changes
-    of the coordinates (p,) by an error of each direction of the map."""
+    of the coordinates (p,) by an error of each direction of the map; the ``objection`` to a fit
+    with it, "" where there is none."""
 
     picture: Picture
     note: Remark
     shifts: tuple[np.ndarray, ...]
+    objection: str
 
 
 def may_register(mask: tuple[int, ...], target: tuple[int, ...], asked: bool) -> bool:
@@ -188,13 +196,13 @@ def registered(
         f"{right:+.4g} pixels to the right and {down:+.4g} down (noise of {settled.sigma:.2g} "
         f"levels against {begun[0].sigma:.2g} before)"
     )
+    picture, objection = picture.with_mask(best), ""
     if not found.whole and settled.sigma > WITHOUT_EDGES:
         words += RESIZED
-    return Registered(
-        picture.with_mask(best),
-        Remark(words, "register"),
-        shifts,
-    )
+        picture = dataclasses.replace(picture, texel_variance=edge_variance(best))
+        if settled.sigma > max(LOST_LEVELS, LOST_SHARE * begun[0].sigma):
+            objection = LOST.format(settled.sigma, begun[0].sigma)
+    return Registered(picture, Remark(words, "register"), shifts, objection)
 
 
 def few_values(mask: np.ndarray) -> np.ndarray | None:

@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from PIL import Image
 from scipy import ndimage
 
 import godfit
 from godfit.errors import InputError
+from godfit.inference.allowances.mask_rounding import edge_blur, edge_variance
 from godfit.search import registration
 from tests.support import distortions, random_targets
 
@@ -82,3 +84,26 @@ def test_a_mask_of_another_frame_is_refused_and_the_option_is_named():
         godfit.fit(np.eye(50), mask=mask, shader="dawntime", register=True)
     with pytest.raises(InputError, match="no --pass-scale"):
         godfit.fit(np.eye(60), mask=mask * 0.5, shader="dawntime", register=True, pass_scale=0.5)
+
+
+@pytest.mark.usefixtures("single_precision")
+def test_edges_that_a_resize_lost_are_no_converged_fit():
+    mask, truth = distortions.frame(2, SIZE)
+    target = random_targets.to_bytes(random_targets.render64(mask / 255, truth))
+    smaller = (round(0.97 * SIZE), round(0.97 * SIZE))
+    mask = np.asarray(Image.fromarray(mask).resize(smaller, Image.Resampling.BOX))
+    result = godfit.fit(
+        target, mask=mask, shader="dawntime", samples=distortions.SAMPLES, register=True,
+        inquire=False,
+    )  # fmt: skip
+    assert not result.converged
+    assert "a resize lost its edges; give the mask as the shader read it" in result.message
+
+
+def test_what_a_resize_left_of_an_edge_is_known_to_its_two_sides():
+    mask = np.float32([[0, 0, 0.25, 1, 1]] * 3)
+    np.testing.assert_allclose(edge_variance(mask)[1], [0, 0, 0.1875, 0, 0])
+    np.testing.assert_allclose(edge_blur(mask)[1], [0, 0, -np.sqrt(0.1875), 0, 0], rtol=1e-6)
+    # Each channel has edges of its own.
+    both = np.stack([mask, np.zeros_like(mask)], -1)
+    assert edge_variance(both).any((0, 1)).tolist() == [True, False]

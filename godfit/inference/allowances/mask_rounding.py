@@ -1,4 +1,5 @@
-"""What a mask known to bytes alone does to a fit, where the light pass read it in half floats.
+"""What a mask known to bytes alone does to a fit, where the light pass read it in half floats, and
+one whose texels are not known for another reason.
 
 A texel that is neither black nor white is known to half a level. The picture is linear in the mask,
 so that with slopes J of the picture by the coordinates, weights W of its values and information H
@@ -39,7 +40,11 @@ TEXEL_VARIANCE = 1 / 12 / LEVELS**2
 
 def rounded_texels(picture: Picture, model: AbstractModel) -> np.ndarray | None:
     """(h, w, ...) variance of each texel of the mask, in linear light; None where all are known."""
-    if picture.arithmetic == EXACT or picture.foreign or not isinstance(model, Mitchell):
+    if picture.foreign or not isinstance(model, Mitchell):
+        return None
+    if picture.texel_variance is not None:
+        return picture.texel_variance
+    if picture.arithmetic == EXACT:
         return None
     mask = picture.mask
     levels = np.rint(mask * LEVELS)
@@ -51,6 +56,30 @@ def rounded_texels(picture: Picture, model: AbstractModel) -> np.ndarray | None:
     around = np.ones((3, 3, *[1] * (mask.ndim - 2)), bool)
     unsure = ndimage.binary_dilation(grey, around)
     return np.where(unsure, np.float32(TEXEL_VARIANCE), np.float32(0)) if grey.any() else None
+
+
+def _ends_about(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(h, w, ...) each: the brightest and the darkest value at a texel and its neighbours."""
+    from scipy import ndimage
+
+    around = (3, 3, *[1] * (mask.ndim - 2))
+    return np.asarray(ndimage.maximum_filter(mask, around)), np.asarray(
+        ndimage.minimum_filter(mask, around)
+    )
+
+
+def edge_variance(mask: np.ndarray) -> np.ndarray:
+    """(h, w, ...) variance of each texel of a mask that was resized. Its grey value is the chance
+    that the texel had the brightest value about it, and not the darkest."""
+    bright, dark = _ends_about(mask)
+    return np.asarray((bright - mask) * (mask - dark), np.float32)
+
+
+def edge_blur(mask: np.ndarray) -> np.ndarray:
+    """(h, w, ...) the error that all texels of such a mask have at once: a resize is a blur, which
+    draws both sides of an edge to its middle."""
+    bright, dark = _ends_about(mask)
+    return np.sign(2 * mask - bright - dark) * np.sqrt(edge_variance(mask))
 
 
 def with_mask_shifts(found: Found) -> Found:
@@ -75,6 +104,9 @@ def with_mask_shifts(found: Found) -> Found:
         _at_texels(settled.coordinates, problem.held, known, plain, jnp.asarray(pulls))
     )
     pulled = pull_covariance(problem.picture.mask, variance, texels)
+    if problem.picture.texel_variance is not None:
+        blur = texels.reshape(len(texels), -1) @ edge_blur(problem.picture.mask).reshape(-1)
+        pulled += np.outer(blur, blur)
     pulled /= np.outer(tangent.scale, tangent.scale)
     covariance = found.evidence.covariance(problem.free)
     values, vectors = np.linalg.eigh(_scaled(covariance @ pulled @ covariance))
