@@ -120,7 +120,8 @@ def test_the_objects_of_the_ordinary_pass_tell_light_and_density():
 @pytest.mark.usefixtures("fewer_pairs")
 def test_passes_that_are_no_rays_give_the_light_alone():
     """The sum of several passes: the mask is what is not dark, and the numbers have no errors."""
-    off, *_ = objects_and_light(54, 96)
+    # As large as the picture of test_fitting.py whose passes these are: its programs serve.
+    off, *_ = objects_and_light(96, 96)
     mask = pair_scene.not_dark(read_source(off, "none"))
     assert 0.02 < (mask == 0).mean() < 0.4
     model = godfit.Mitchell(0.4, 1.0, 1.0, 1.0, [[0.42, 0.7]], "three")

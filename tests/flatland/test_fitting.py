@@ -336,7 +336,7 @@ class TestRender:
         np.zeros((5, 7, 4), np.uint8), np.full((5, 7, 4), 255, np.uint8),
         np.tile(np.uint8([0, 0, 0, 255]), (5, 7, 1)), np.zeros((1, 9, 4), np.uint8),
     ], ids=["empty", "all emits", "all hides", "one row"])  # fmt: skip
-    @pytest.mark.parametrize("method", ["distance", "march", "cascades"])
+    @pytest.mark.parametrize("method", ["distance", "cascades"])
     def test_odd_canvases(self, files, values, method):
         (files / "o.png").write_bytes(imagecodecs.png_encode(values))
         out = str(files / "r.npy")
