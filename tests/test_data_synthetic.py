@@ -208,8 +208,8 @@ def test_scenes_have_the_numbers_of_their_source(name):
         assert scene.background == ((16 if vesper else 17) / 255,) * 3
 
 
-# Each sequence by one picture: what compiles differs little from one to the next.
-@pytest.mark.parametrize("name", [n for n in SCENES if n.startswith("stage_") or n.endswith("_0")])
+# A coloured mask, the other shader, and a scene that moves: the others go the same ways.
+@pytest.mark.parametrize("name", ["stage_ship", "stage_table", "icosahedra_0"])
 def test_the_light_pass_is_the_composite_without_the_ordinary_pass(name, tmp_path):
     """Through the command line, on a small copy."""
     text = (FOLDER / SCENES[name]["scene"]).read_text()
@@ -338,13 +338,13 @@ def test_animation_of_sand(tmp_path):
 
 @pytest.mark.parametrize("name", SEQUENCES)
 def test_animation(tmp_path, name):
-    make.make_gif(tmp_path / "x.gif", name, frames=5)
+    make.make_gif(tmp_path / "x.gif", name, frames=2)
     with Image.open(tmp_path / "x.gif") as animation:
         assert animation.info["loop"] == 0
-        assert animation.info["duration"] == 800
+        assert animation.info["duration"] == 2000
         frames = [np.asarray(frame.convert("L")) for frame in ImageSequence.Iterator(animation)]
-    assert np.shape(frames) == (5, 256, 256)
-    assert all((a != b).any() for a, b in zip(frames[1:], frames, strict=False))
+    assert np.shape(frames) == (2, 256, 256)
+    assert (frames[0] != frames[1]).any()
 
 
 def test_the_folder_is_small():

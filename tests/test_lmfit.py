@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import godfit
+from tests.support import known_truth
 from tests.support import scattering_oracle as oracle
 
 # As large as the pictures of other tests, whose programs the fit shares.
@@ -55,7 +56,7 @@ def by_lmfit(scene):
 @pytest.fixture
 def by_godfit(scene, single_precision):
     mask, target = scene
-    return godfit.fit(target, mask=mask, shader="dawntime", samples=SAMPLES)
+    return godfit.fit(target, mask=mask, shader="dawntime", samples=SAMPLES, **known_truth.ALONE)
 
 
 def test_fit_is_that_of_lmfit(by_godfit, by_lmfit):

@@ -18,6 +18,7 @@ from godfit.inference.allowances.arithmetic import with_arithmetic
 from godfit.inference.likelihood import log_likelihood
 from godfit.inference.noise import noise_of
 from tests.support import scattering_oracle as oracle
+from tests.support.compiling import quick_jit
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 SIZE, SAMPLES, NOISE_LEVELS = 96, 30, 1.0
@@ -86,11 +87,14 @@ def test_solvers_reach_the_answer(name, problem, answer):
 
 
 def test_sampler_reaches_the_answer(problem, answer):
-    draws = example("with_blackjax")["drawn"](problem)
+    """Fewer draws than the example's know a mean to 5% of the error, and the error to 4%."""
+    drawn = example("with_blackjax")["drawn"]
+    drawn.__globals__["DRAWS"] = 400
+    draws = drawn(problem)
     off = distances({name: values.mean() for name, values in draws.items()}, answer)
-    assert max(off.values()) < NEAR, off
+    assert max(off.values()) < 1.5 * NEAR, off
     for name, values in draws.items():
-        assert float(values.std()) == pytest.approx(answer[name]["stderr"], rel=0.1), name
+        assert float(values.std()) == pytest.approx(answer[name]["stderr"], rel=0.12), name
 
 
 def test_a_prior_counts_as_one_more_measurement(problem, answer):
@@ -106,12 +110,11 @@ def test_a_prior_counts_as_one_more_measurement(problem, answer):
 def test_derivatives_are_those_of_finite_differences(problem, answer):
     flat, unflatten = ravel_pytree(problem.start)
 
-    @jax.jit
-    def likelihood(values):
+    def of_values(values):
         return problem.log_likelihood(unflatten(values))
 
-    slope = jax.jit(jax.grad(likelihood))
-    curvature = jax.hessian(likelihood)(flat)
+    likelihood, slope = quick_jit(of_values), quick_jit(jax.grad(of_values))
+    curvature = quick_jit(jax.hessian(of_values))(flat)
     found = slope(flat)
     errors = ravel_pytree({name: answer[name]["stderr"] for name in problem.start})[0]
     for i, step in enumerate(1e-4 * errors):
@@ -125,11 +128,12 @@ def test_derivatives_are_those_of_finite_differences(problem, answer):
 
 
 def test_likelihood_is_differentiable_in_the_noise(problem):
-    def likelihood(noise):
+    def of_noise(noise):
         return problem.log_likelihood(problem.start, noise)
 
+    likelihood, slope = quick_jit(of_noise), quick_jit(jax.grad(of_noise))
     by_values = (likelihood(0.5 + 1e-5) - likelihood(0.5 - 1e-5)) / 2e-5
-    assert float(jax.grad(likelihood)(0.5)) == pytest.approx(float(by_values), rel=1e-6)
+    assert float(slope(0.5)) == pytest.approx(float(by_values), rel=1e-6)
 
 
 def test_an_unknown_parameter_is_named(problem):
@@ -154,7 +158,7 @@ def test_the_arithmetic_of_a_gpu_is_in_the_likelihood(files, arithmetic):
     """Against the interval likelihood with the noise of ``with_arithmetic``, value by value."""
     target, mask = (np.load(path) for path in files)
     stored = np.rint(255 * target.clip(0, 1)).astype(np.uint8)
-    options = {"mask": mask, "shader": "mitchell", "samples": SAMPLES, "arithmetic": arithmetic}
+    options = {"mask": mask, "shader": "dawntime", "samples": SAMPLES, "arithmetic": arithmetic}
     found = godfit.problem(stored, **options)
     whole = found.picture.observe(np.arange(stored.size))
     assert found.point is not None
@@ -164,7 +168,7 @@ def test_the_arithmetic_of_a_gpu_is_in_the_likelihood(files, arithmetic):
     noise = noise_of(NOISE_LEVELS, None if own is None else np.asarray(own, float))
     levels = whole.predict(found.at(found.point))
     expected = log_likelihood(levels, whole.lo, whole.hi, noise).sum()
-    value = jax.jit(found.log_likelihood)(found.start, NOISE_LEVELS)
+    value = quick_jit(found.log_likelihood)(found.start, NOISE_LEVELS)
     assert float(value) == pytest.approx(float(expected), rel=1e-5)
     # Half the squares of the residuals fall by what the likelihood gains.
     away = found.start | {"density": found.start["density"] + 0.01}

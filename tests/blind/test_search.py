@@ -29,6 +29,7 @@ from godfit.models.build import mitchell_template
 from godfit.models.coordinates import DENSITY, LIGHT_X, LIGHT_Y, RADIUS
 from godfit.runtime import interrupts
 from godfit.scattering.conventions import convention
+from tests.support.blind_search import fewer_pairs  # noqa: F401
 
 SIZE = 90, 160
 LIGHT = 0.4, 0.55
@@ -271,7 +272,8 @@ def test_the_first_interrupt_asks_for_the_best_so_far():
         signal.signal(signal.SIGINT, before)
 
 
-def test_a_whole_fit(single_precision):
+@pytest.mark.usefixtures("single_precision", "fewer_pairs")
+def test_a_whole_fit():
     image, mask = scene()
     result = godfit.fit(image, shader="dawntime", samples=60)
     assert abs(result.params["light_x"].value - LIGHT[0]) < HALF_A_TEXEL
@@ -283,14 +285,16 @@ def test_a_whole_fit(single_precision):
     assert any("disc on a veil" in str(note) for note in result.notes)
 
 
-def test_what_has_no_rays_is_refused_with_what_to_do_next(single_precision):
+@pytest.mark.usefixtures("single_precision", "fewer_pairs")
+def test_what_has_no_rays_is_refused_with_what_to_do_next():
     result = godfit.fit(scene(gain=0.0, texture=0.05)[0], shader="dawntime", samples=60)
     assert not result.converged
     assert "no rays were found" in result.message
     assert "--background" in result.message
 
 
-def test_a_clip_of_bare_pictures_names_every_frames_light(single_precision):
+@pytest.mark.usefixtures("single_precision", "fewer_pairs")
+def test_a_clip_of_bare_pictures_names_every_frames_light():
     lights = LIGHT, (0.42, 0.56)
     frames = [scene(light=light)[0] for light in lights]
     result = godfit.fit_clip(frames, shader="dawntime", samples=60)

@@ -13,6 +13,7 @@ from godfit.errors import InputError
 from godfit.io.sources import read_source
 from godfit.scattering.conventions import convention
 from tests.support import random_targets
+from tests.support.blind_search import fewer_pairs  # noqa: F401
 
 
 def srgb(values):
@@ -95,6 +96,7 @@ def objects_and_light(h=108, w=192):
     return bytes_of(off), random_targets.render64(mask, truth), truth
 
 
+@pytest.mark.usefixtures("fewer_pairs")
 def test_the_objects_of_the_ordinary_pass_tell_light_and_density():
     off, light, truth = objects_and_light()
     images = [read_source(im, "none") for im in (bytes_of(off / 255 + light), off)]
@@ -115,9 +117,11 @@ def test_the_objects_of_the_ordinary_pass_tell_light_and_density():
     assert at.dim == pytest.approx(0.1 * white, rel=0.3)
 
 
+@pytest.mark.usefixtures("fewer_pairs")
 def test_passes_that_are_no_rays_give_the_light_alone():
     """The sum of several passes: the mask is what is not dark, and the numbers have no errors."""
-    off, *_ = objects_and_light(54, 96)
+    # As large as the picture of test_fitting.py whose passes these are: its programs serve.
+    off, *_ = objects_and_light(96, 96)
     mask = pair_scene.not_dark(read_source(off, "none"))
     assert 0.02 < (mask == 0).mean() < 0.4
     model = godfit.Mitchell(0.4, 1.0, 1.0, 1.0, [[0.42, 0.7]], "three")
@@ -170,6 +174,7 @@ def test_mask_and_numbers_in_turn(tmp_path, monkeypatch):
     assert {"fit.json", "fit.png", "render.png", "mask.png"} <= {p.name for p in tmp_path.iterdir()}
 
 
+@pytest.mark.usefixtures("fewer_pairs")
 def test_a_pair_without_a_light_has_no_numbers():
     """Noise that no light explains: no errors, and what to do next."""
     rng = np.random.default_rng(5)

@@ -10,8 +10,9 @@ from hypothesis.extra.numpy import arrays
 from scipy.ndimage import distance_transform_edt
 
 from godfit.flatland.jump_flood import jump_flood as flood
+from tests.support.compiling import quick_jit
 
-jump_flood = jax.jit(flood, static_argnames="spacing")
+jump_flood = quick_jit(flood, static_argnames="spacing")
 
 
 def discs(h, w, n, seed):
@@ -162,7 +163,7 @@ def test_compiled_once():
     """The next canvas compiles nothing again, nor does the result where it goes: no weak types."""
     traces = []
 
-    @jax.jit
+    @quick_jit
     def traced(seeds):
         traces.append(seeds.shape)
         return flood(seeds)

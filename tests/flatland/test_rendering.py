@@ -4,7 +4,6 @@ asked for nonsense."""
 import functools
 import math
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,14 +19,15 @@ from godfit.flatland.rays import (
     radiance_and_transmittance,
 )
 from tests.support import flatland_oracle as oracle
+from tests.support.compiling import quick_filter_jit, quick_jit
 
 SKY = Sky(70.0, 50.0, (0.9, 0.8, 0.5), (0.1, 0.2, 0.4))
 SIZE = (13, 17)
 SIZES = [SIZE, (17, 13), (1, 30), (1, 1), (20, 1)]
 
 # Op by op, the jump flood of every canvas is compiled anew.
-compiled = eqx.filter_jit(render)
-compiled_gathered = jax.jit(gathered, static_argnames=("settings", "plain"))
+compiled = quick_filter_jit(render)
+compiled_gathered = quick_jit(gathered, static_argnames=("settings", "plain"))
 
 
 def rendered(made: Canvas, sky=SKY, **options):
@@ -60,8 +60,9 @@ def test_distance_march_against_the_oracle(size, partial):
         np.testing.assert_allclose(found[row, column], expected, atol=1e-9)
 
 
-@pytest.mark.parametrize("method", ["distance", "march"])
-@pytest.mark.parametrize("size", [SIZE, (20, 1)])
+@pytest.mark.parametrize(
+    ("size", "method"), [(SIZE, "distance"), (SIZE, "march"), ((20, 1), "distance")]
+)
 def test_compiled_is_the_plain_walk(size, method):
     made = canvas(*oracle.random_canvas(size, 5))
     steps = {"march": {"steps": 40}, "distance": {}}[method]
@@ -73,8 +74,7 @@ def test_compiled_is_the_plain_walk(size, method):
         np.testing.assert_allclose(found, expected, atol=1e-13)
 
 
-@pytest.mark.parametrize("method", ["distance", "march"])
-@pytest.mark.parametrize("steps", [1, 5])
+@pytest.mark.parametrize(("method", "steps"), [("distance", 1), ("march", 5)])
 def test_compiled_gives_up_where_the_plain_walk_does(method, steps):
     made = canvas(*oracle.random_canvas(SIZE, 6))
     step = 0.0 if method == "distance" else 0.37
@@ -228,7 +228,7 @@ class TestWhatIsSeen:
     def test_transmittance_is_all_that_a_sky_needs(self):
         """What fits stand on: the picture is linear in the sky."""
         made = canvas(*oracle.random_canvas(SIZE, 12))
-        parts = jax.jit(radiance_and_transmittance, static_argnums=1)(made, TraceSettings(16, 32))
+        parts = quick_jit(radiance_and_transmittance, static_argnums=1)(made, TraceSettings(16, 32))
         parts = np.asarray(parts)
         found = parts[..., :3] + parts[..., 3:] @ np.asarray(SKY.over(16))
         np.testing.assert_allclose(found, light(made, SKY, 16), atol=1e-12)
@@ -237,7 +237,7 @@ class TestWhatIsSeen:
         """A disc of that radius about anywhere in the pixel meets nothing; one that is half a pixel
         larger would."""
         made = canvas(*oracle.random_canvas((21, 30), 13, share=0.02))
-        free = np.asarray(jax.jit(free_distance)(made))[1:-1, 1:-1]
+        free = np.asarray(quick_jit(free_distance)(made))[1:-1, 1:-1]
         opacity = np.asarray(made.opacity)
         i, j = np.nonzero(opacity > 0)
         for row, column in np.argwhere(opacity == 0):

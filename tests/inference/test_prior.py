@@ -8,7 +8,7 @@ from godfit import fit as plain_fit
 from godfit.inference.allowances.prior import prior_rows
 from godfit.models.mitchell import Mitchell
 from tests.support import random_targets
-from tests.support.known_truth import SAMPLES, TRUTH, fit, picture
+from tests.support.known_truth import ALONE, SAMPLES, TRUTH, fit, picture
 
 
 def test_rows_are_the_distance_from_the_mean_and_its_slopes():
@@ -38,10 +38,10 @@ def test_rows_are_the_distance_from_the_mean_and_its_slopes():
 def test_a_prior_is_one_more_measurement(single_precision):
     """Two measurements of weight, the picture's and the prior, are weighed by their variances."""
     target, mask = picture(3, 1.0)
-    alone = fit(target, mask, inquire=False)
+    alone = fit(target, mask, **ALONE)
     known, error = alone.params["weight"].value, alone.params["weight"].stderr
     mean, sigma = known + error, error
-    both = fit(target, mask, inquire=False, prior={"weight": (mean, sigma)})
+    both = fit(target, mask, prior={"weight": (mean, sigma)}, **ALONE)
     found = both.params["weight"]
     assert found.value == pytest.approx((known + mean) / 2, abs=0.1 * error)
     # A weight's error grows with the weight, which has grown by half an error.

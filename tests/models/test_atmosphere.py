@@ -8,6 +8,7 @@ import pytest
 from godfit import InputError
 from godfit.models import atmosphere
 from godfit.models.atmosphere import Air, hoffman_preetham, zenith_angle
+from tests.support.compiling import quick_jit
 
 UP = jnp.array([0.0, 1.0, 0.0])
 
@@ -86,8 +87,7 @@ def test_shortened_joins_its_series():
     np.testing.assert_allclose(atmosphere.path_transmission(x), exact, rtol=1e-13)
 
 
-@jax.jit
-def radiance(z):
+def radiance_of(z):
     """A mean over pixels, by turbidity, g, e_sun, scale, the sun's direction and the distance."""
     sun = z[4:7] / jnp.linalg.norm(z[4:7])
     view = jnp.array([[0.0, 0.0, -1.0], [0.3, 0.1, -0.9], [0.0, 0.8, 0.6]])
@@ -96,6 +96,9 @@ def radiance(z):
         Air(*z[:4]), jnp.full(3, z[7]), view @ sun, zenith_angle(sun, UP), jnp.array([[0.2]])
     )
     return (lit * jnp.array([[1.0, 2.0, 3.0]])).mean()
+
+
+radiance, with_slopes = quick_jit(radiance_of), quick_jit(jax.value_and_grad(radiance_of))
 
 
 LIMITS = {
@@ -117,7 +120,7 @@ KINKS = ("sun at the zenith", "sun on the horizon", "towards the sun")
 @pytest.mark.parametrize("name", LIMITS)
 def test_derivatives_are_those_of_differences(name):
     z = jnp.array(LIMITS[name])
-    value, slope = jax.value_and_grad(radiance)(z)
+    value, slope = with_slopes(z)
     assert np.isfinite(value)
     assert np.isfinite(slope).all()
     for i in range(8):

@@ -13,6 +13,7 @@ from godfit.runtime import xla_ffi
 from godfit.scattering import upsample
 from godfit.scattering.radial import radial_sum
 from tests.support import scattering_oracle as oracle
+from tests.support.compiling import quick_filter_jit
 
 RNG = np.random.default_rng(0)
 MASK = jnp.asarray(oracle.smooth_mask(11, 13))
@@ -28,7 +29,7 @@ def model(shader="mitchell", light=LIGHT, point=POINT, samples=9):
     return Mitchell(*point, light, shader, samples)
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def render(model, mask, background=None, **options):
     return model(mask, background, **options)
 
@@ -155,11 +156,16 @@ def test_upsampling_is_a_texture_read(mask, size):
 
 
 @pytest.mark.parametrize(
-    ("mask", "background"),
-    [(MASK, None), (COLOURS, "grey"), (MASK, "colour"), (COLOURS, "colour")],
-    ids=["grey", "colour on grey", "grey on colour", "colour on colour"],
+    ("size", "mask", "background"),
+    [
+        ((11, 13), MASK, None),
+        ((11, 13), COLOURS, "colour"),
+        ((25, 31), MASK, None),
+        ((25, 31), COLOURS, "grey"),
+        ((25, 31), MASK, "colour"),
+    ],
+    ids=["full, grey", "full, colour", "grey", "colour on grey", "grey on colour"],
 )
-@pytest.mark.parametrize("size", [(11, 13), (25, 31)], ids=["full", "upsampled"])
 def test_pixels_are_those_of_the_whole_image(size, mask, background):
     """A few pixels and many take different ways when the pass is smaller than the image."""
     rng = np.random.default_rng(2)
@@ -259,8 +265,10 @@ def test_compiled_code_refuses_other_types_and_ranks():
             xla_ffi.call("any", shaped, mask, ranks="2")
 
 
-@pytest.mark.parametrize("size", [(5, 6), (11, 6), (22, 29)])
-@pytest.mark.parametrize("shader", ["dawntime", "pmndrs"])
+@pytest.mark.parametrize(
+    ("shader", "size"),
+    [("dawntime", (5, 6)), ("dawntime", (11, 6)), ("dawntime", (22, 29)), ("pmndrs", (22, 29))],
+)
 def test_a_pass_of_the_picture_s_size_reads_the_mask_between_its_texels(shader, size):
     """A larger mask always, a smaller one where the pass has the picture's size."""
     own, dropped, order, gain = oracle.FACTORS[shader]

@@ -17,6 +17,7 @@ from godfit.models.volume import march, render, trace, view_rays
 from godfit.scenes.scene import read_scene
 from godfit.scenes.shadow_maps import shadow_map
 from tests.support import mitsuba_scenes as theirs
+from tests.support.compiling import quick_filter_jit, quick_jit
 
 REFERENCES = Path(__file__).parent / "volume_references.npz"
 TOWARDS = np.array([0.0, 0.8, -0.6])
@@ -161,13 +162,13 @@ def test_derivatives_are_those_of_differences(tmp_path, source):
     light = (0.0, 80.0, -60.0) if source == "sun" else (0.4, 0.8, -4.0)
     rays = traced(stage(tmp_path, BOX, light, size=8), source)
 
-    @jax.jit
-    def mean(z):
+    def of_values(z):
         return (march(Air(*z), rays) * jnp.array([[1.0, 2.0, 3.0]])).mean()
 
+    mean, slopes = quick_jit(of_values), quick_jit(jax.grad(of_values))
     for z in (AIR, (0.995, 0.0, 4.0, 4e3), (3.0, 0.6, 0.0, 4e3)):
         z = jnp.array(z)
-        slope = jax.grad(mean)(z)
+        slope = slopes(z)
         for i, size in enumerate((1.0, 0.5, 1.0, 1e3)):
             way = jnp.zeros(4).at[i].set(1e-3 * size)
             one, two = (float(mean(z + k * way) - mean(z - k * way)) for k in (1, 2))
@@ -183,7 +184,7 @@ def test_limits_are_finite(tmp_path, source):
     # The middle ray runs through the lamp itself; the first has no length.
     rays = traced(scene, source, length=length)
 
-    @eqx.filter_jit
+    @quick_filter_jit
     @eqx.filter_value_and_grad
     def sum_and_slopes(air):
         return march(air, rays).sum()

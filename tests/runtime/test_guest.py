@@ -20,8 +20,8 @@ from tests.support.paths import ROOT
 
 SCENE = """
 [image]
-width = 64
-height = 64
+width = 96
+height = 96
 [camera]
 position = [0, 0, 4]
 [light]
@@ -35,7 +35,8 @@ primitive = "box"
 @pytest.fixture(scope="module")
 def said(tmp_path_factory):
     folder = tmp_path_factory.mktemp("host")
-    y, x = np.mgrid[:64, :64] / 64
+    # The size of most fits in the tests, whose stored programs serve.
+    y, x = np.mgrid[:96, :96] / 96
     mask = ((x - 0.5) ** 2 + (y - 0.4) ** 2 < 0.04).astype(np.float32)
     model = Mitchell(0.3, 0.9, 0.9, 0.5, light=(0.5, 0.5), shader="dawntime", samples=8)
     write_image(folder / "mask.png", mask)

@@ -1,7 +1,6 @@
 """Every engine's sum against loops over its formula: value, Jacobian, blend, defaults; and shaders
 from files."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +11,7 @@ from godfit.models.mitchell import Mitchell
 from godfit.scattering.conventions import CONVENTIONS, convention, families
 from godfit.scattering.conventions.shader_file import read_shader, shader_text
 from tests.support import convention_oracle, scattering_oracle
+from tests.support.compiling import quick_filter_jit, quick_jit
 
 NAMES = ("exposure", "decay", "density", "weight", "light_x", "light_y")
 POINT = {"exposure": 0.13, "decay": 0.93, "density": 0.77, "weight": 0.6}
@@ -52,7 +52,9 @@ def test_sum_and_jacobian_are_those_of_the_formula(shader):
     def evaluated(point):
         return at(shader, point, samples=samples)
 
-    value, jacobian = jax.jit(lambda z: (evaluated(z), jax.jacfwd(evaluated)(z)))(jnp.array(point))
+    value, jacobian = quick_jit(lambda z: (evaluated(z), jax.jacfwd(evaluated)(z)))(
+        jnp.array(point)
+    )
     expected = oracle(shader, point, samples=samples)
     np.testing.assert_allclose(value, expected, rtol=1e-6, atol=1e-9)
     used = {*CONVENTIONS[shader].parameters, "light_x", "light_y"}
@@ -87,7 +89,7 @@ def test_a_saturated_sum_at_a_decay_of_one():
     point = point_of("reshade")
     point[1] = 1.0
 
-    @jax.jit
+    @quick_jit
     def by_decay(decay):
         return jax.jvp(lambda d: at("reshade", jnp.array(point).at[1].set(d)), (decay,), (1.0,))
 
@@ -99,7 +101,7 @@ def test_a_saturated_sum_at_a_decay_of_one():
     np.testing.assert_allclose(slope, expected, atol=1e-5)
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def pass_and_picture(model, mask, background):
     return model.light_pass(mask), model(mask, background)
 

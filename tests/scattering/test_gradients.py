@@ -16,6 +16,7 @@ from godfit.scattering.conventions import CONVENTIONS
 from godfit.scattering.radial import radial_sum
 from godfit.scattering.taps import Taps
 from tests.support import scattering_oracle as oracle
+from tests.support.compiling import quick_jit
 
 # A density that puts no tap on a texel line by accident: there the bilinear mask has two slopes.
 POINT = (0.13, 0.93, 0.7391, 0.6)
@@ -33,7 +34,7 @@ def light_pass(parameters, shader="mitchell", method="pairs", mask=MASK, at=None
     return model.light_pass(mask, at, method)
 
 
-compiled = jax.jit(jax.jacfwd(light_pass), static_argnames=("shader", "method"))
+compiled = quick_jit(jax.jacfwd(light_pass), static_argnames=("shader", "method"))
 
 
 def jacobian(z, shader="mitchell", method="pairs", mask=MASK, at=None):
@@ -86,7 +87,7 @@ def test_jvp_at_points(light, method):
 @pytest.mark.parametrize("method", ["pairs", "strips"])
 def test_reverse_is_forward(shader, method):
     z = vector(oracle.LIGHTS["off screen"])
-    reverse = jax.jit(jax.jacrev(light_pass), static_argnames=("shader", "method"))
+    reverse = quick_jit(jax.jacrev(light_pass), static_argnames=("shader", "method"))
     agree(reverse(z, shader, method), jacobian(z, shader, method), 1e-12)
 
 
@@ -97,13 +98,16 @@ def test_derivative_by_the_mask_is_the_sum_itself(method, at):
     light = jnp.array([0.3, 1.2])
     change = jnp.asarray(np.random.default_rng(1).normal(size=MASK.shape))
 
-    @jax.jit
     def sum_of(mask):
         return radial_sum(mask, light, TAPS, at=at, method=method)
 
-    out, tangent = jax.jvp(sum_of, (MASK,), (change,))
-    np.testing.assert_allclose(tangent, sum_of(change), rtol=1e-13, atol=1e-14)
-    back = jax.vjp(sum_of, MASK)[1](out)[0]
+    @quick_jit
+    def derivatives(mask, change):
+        out, tangent = jax.jvp(sum_of, (mask,), (change,))
+        return out, tangent, sum_of(change), jax.vjp(sum_of, mask)[1](out)[0]
+
+    out, tangent, of_change, back = derivatives(MASK, change)
+    np.testing.assert_allclose(tangent, of_change, rtol=1e-13, atol=1e-14)
     np.testing.assert_allclose(jnp.vdot(back, change), jnp.vdot(out, tangent), rtol=1e-12)
 
 
@@ -117,7 +121,7 @@ def test_everything_moves_at_once():
         def sum_of(mask, light, numbers):
             return radial_sum(mask, light, Taps(*numbers, count=9), at=AT, method=method)
 
-        return jax.jit(lambda inputs, moves: jax.jvp(sum_of, inputs, moves))(inputs, moves)
+        return quick_jit(lambda inputs, moves: jax.jvp(sum_of, inputs, moves))(inputs, moves)
 
     for actual, expected in zip(out("pairs"), out("reference"), strict=True):
         np.testing.assert_allclose(actual, expected, rtol=1e-11)
@@ -126,17 +130,15 @@ def test_everything_moves_at_once():
 @pytest.mark.parametrize("shader", ["mitchell", "dawntime", "pmndrs"])
 def test_check_grads_on_a_smooth_mask(shader):
     z = vector((0.37, 0.62))
-    check_grads(
-        jax.jit(lambda z: light_pass(z, shader, mask=SMOOTH)), (z,), order=1, modes=["fwd", "rev"],
-        eps=1e-7, atol=1e-6, rtol=1e-5,
-    )  # fmt: skip
+    smooth = jax.jit(lambda z: light_pass(z, shader, mask=SMOOTH))
+    check_grads(smooth, (z,), order=1, modes=["fwd", "rev"], eps=1e-7, atol=1e-6, rtol=1e-5)
 
 
 def squares(z, method, mask, target):
     return jnp.mean((light_pass(z, method=method, mask=mask) - target) ** 2)
 
 
-loss_and_slopes = jax.jit(jax.value_and_grad(squares), static_argnames="method")
+loss_and_slopes = quick_jit(jax.value_and_grad(squares), static_argnames="method")
 
 
 @pytest.mark.parametrize("method", ["reference", "pairs", "strips"])
@@ -172,7 +174,7 @@ FINITE_AT = [
 ]
 
 
-@jax.jit
+@quick_jit
 def summed_gradient(z, mask):
     return {
         shader: jax.grad(lambda z, s=shader: light_pass(z, s, "auto", mask).sum())(z)
@@ -202,7 +204,7 @@ def test_finite_at_every_edge(point, light, mask):
 def test_three_against_central_differences(light):
     """Exposure and light of the convention without a hand-written JVP. Its taps end at the light:
     sums jump where one more fits in, and few pixels are that near to one."""
-    three = jax.jit(lambda z: light_pass(z, "three", "auto", SMOOTH))
+    three = quick_jit(lambda z: light_pass(z, "three", "auto", SMOOTH))
     z, step = vector(light), 1e-7
     exact = np.asarray(jacobian(z, "three", "auto", SMOOTH))
     for i in (0, 4, 5):
@@ -260,7 +262,7 @@ class TestCoordinates:
         go where they would have gone, but for what follows from it."""
         z = model.coordinates() * 1.1 + 0.01
         names = list(model.parameters)
-        derivative = jax.jit(jax.jacfwd(lambda z, held: numbers(model.moved(z, held))))
+        derivative = quick_jit(jax.jacfwd(lambda z, held: numbers(model.moved(z, held))))
         follows = {"exposure": {"weight"}, "density": {"decay", "weight"}}
         for i, name in enumerate(names):
             held = jnp.full(len(names), jnp.nan).at[i].set(0.123)
@@ -277,23 +279,23 @@ class TestCoordinates:
         differences, which are smooth."""
         z, step = model.coordinates() + 0.003, 1e-6
         shifts = step * jnp.eye(len(z))
-        at = jax.jit(lambda z: numbers(model.moved(z)))
+        at = quick_jit(lambda z: numbers(model.moved(z)))
         by_z = jnp.stack([(at(z + s) - at(z - s)) / (2 * step) for s in shifts], axis=-1)
 
         def image(parameters):
             here = Mitchell(*parameters[:4], parameters[4:], model.shader, model.samples)
             return here.light_pass(MASK)
 
-        expected = jax.jit(jax.jacfwd(image))(numbers(model.moved(z))) @ by_z
-        actual = jax.jit(jax.jacfwd(lambda z: model.moved(z).light_pass(MASK)))(z)
+        expected = quick_jit(jax.jacfwd(image))(numbers(model.moved(z))) @ by_z
+        actual = quick_jit(jax.jacfwd(lambda z: model.moved(z).light_pass(MASK)))(z)
         np.testing.assert_allclose(actual, expected, rtol=1e-6, atol=1e-8)
 
 
 def test_without_exposure_there_is_no_light_and_no_infinity():
     model = MODELS["one light"]
     z = model.coordinates().at[0].set(0.0)
-    assert np.isfinite(jax.jit(jax.jacfwd(lambda z: numbers(model.moved(z))))(z)).all()
-    assert np.isfinite(jax.jit(jax.jacfwd(lambda z: model.moved(z)(MASK)))(z)).all()
+    assert np.isfinite(quick_jit(jax.jacfwd(lambda z: numbers(model.moved(z))))(z)).all()
+    assert np.isfinite(quick_jit(jax.jacfwd(lambda z: model.moved(z)(MASK)))(z)).all()
     assert not eqx.tree_at(lambda m: m.exposure, model, jnp.zeros(()))(MASK).any()
 
 
@@ -314,7 +316,7 @@ def test_second_derivatives_are_those_of_the_reference():
         bent = mask + at["bend"] * mask**2
         return (radial_sum(bent, at["light"], taps, method=method) ** 2).sum()
 
-    @functools.partial(jax.jit, static_argnums=0)
+    @functools.partial(quick_jit, static_argnums=0)
     def along(method, flat):
         slope = jax.grad(functools.partial(squares, method))
         return jax.jvp(slope, (flat,), (way,))[1]

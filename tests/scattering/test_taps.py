@@ -1,7 +1,6 @@
 """Shader conventions: each against its published formula, its defaults, and the identities between
 them (formulas.md, section 1)."""
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ from godfit.scattering.conventions import CONVENTIONS, convention
 from godfit.scattering.radial import radial_sum
 from godfit.scattering.taps import Taps
 from tests.support import scattering_oracle as oracle
+from tests.support.compiling import quick_filter_jit
 
 MASK = oracle.smooth_mask(11, 13)
 LIGHT = (0.3, 0.8)
@@ -25,7 +25,7 @@ DEFAULTS = {
 BLENDS = {"article-glsl": 1.1, "article-hlsl": 1.1, "babylon": 1.1}
 
 
-@eqx.filter_jit
+@quick_filter_jit
 def light_pass(model, mask):
     return model.light_pass(mask)
 
@@ -134,7 +134,7 @@ def test_vesper_is_mitchell_with_a_sample_less_and_a_shorter_ray():
 def test_babylon_is_mitchell_at_two_fifths_on_a_brighter_background():
     background = np.random.default_rng(1).random(MASK.shape)
     babylon = Mitchell(0.5, 0.9, 0.8, 0.6, LIGHT, "babylon", 20)
-    together = eqx.filter_jit(babylon)(jnp.asarray(MASK), jnp.asarray(background))
+    together = quick_filter_jit(babylon)(jnp.asarray(MASK), jnp.asarray(background))
     apart = render("mitchell", 0.4 * 0.5, 0.9, 0.8, 0.6, 20) + 1.1 * background
     np.testing.assert_allclose(together, apart, rtol=1e-13)
 

@@ -14,6 +14,9 @@ from godfit.studies.profile_likelihood import profile
 from tests.support import profiled_truths
 from tests.support.known_truth import ALONE, TRUTH, fit, picture
 
+DRAWS, WARM_UP = 600, 100
+"""Of a posterior: the answer's scale is known to 3%."""
+
 
 @pytest.fixture(scope="module")
 def noisy():
@@ -52,10 +55,10 @@ def test_truths_at_a_bound_and_inside_are_covered(name, single_precision):
     """A small run of experiments/accuracy/intervals.py."""
     found = [
         profiled_truths.attempt(seed, name, noise=1.0, size=96, at=at, arithmetic="exact", **ALONE)
-        for seed in range(1000, 1003)
+        for seed in range(1000, 1002)
         for at in (1.0, None)
     ]
-    assert sum(one.covers for one in found) >= 5
+    assert all(one.covers for one in found)
     # What covers because it is wide is no interval.
     widths = [(one.interval[1] - one.interval[0]) / one.result.params[name].stderr for one in found]
     assert max(widths) < 6
@@ -78,7 +81,7 @@ def test_what_is_held_or_open_has_no_profile(noisy):
 
 def test_command_writes_the_interval(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    target, mask = picture(3, 1.0)
+    target, mask = picture(3)
     write_image("frame.png", target / 255)
     write_image("mask.png", mask / 255)
     options = [
@@ -100,13 +103,13 @@ def test_posterior_agrees_with_the_profile(noisy):
     pytest.importorskip("blackjax")
     from godfit.studies.posterior import posterior, with_posterior
 
-    drawn = posterior(noisy, draws=2000, warm_up=200)
+    drawn = posterior(noisy, draws=DRAWS, warm_up=WARM_UP)
     assert drawn.divergent == 0
     for name in ("decay", "light_x"):
         low, high = profile(noisy, name).params[name].interval
         a, b = with_posterior(noisy, drawn).params[name].posterior
-        # 2000 draws know a quantile to 3% of the width.
-        assert (b - a) / (high - low) == pytest.approx(1, abs=0.1)
+        # So many draws know a quantile to 3% of the width, as a standard error.
+        assert (b - a) / (high - low) == pytest.approx(1, abs=0.12)
         assert abs(a - low) < 0.1 * (high - low)
     assert np.mean(drawn.noise_levels) == pytest.approx(1, abs=0.05)
 
@@ -115,7 +118,7 @@ def test_intervals_have_the_priors_of_the_fit(noisy, single_precision):
     """A prior as precise as the picture, and an error away from it."""
     alone = noisy.params["weight"]
     prior = {"weight": (alone.value + alone.stderr, alone.stderr)}
-    both = fit(*picture(3, 1.0), prior=prior)
+    both = fit(*picture(3, 1.0), prior=prior, **ALONE)
     e = both.params["weight"]
     assert e.stderr < 0.8 * alone.stderr
     for name in ("weight", "exposure"):
@@ -128,11 +131,11 @@ def test_intervals_have_the_priors_of_the_fit(noisy, single_precision):
     pytest.importorskip("blackjax")
     from godfit.studies.posterior import posterior
 
-    drawn = posterior(both, draws=2000, warm_up=200)
+    drawn = posterior(both, draws=DRAWS, warm_up=WARM_UP)
     for name in ("weight", "exposure"):
         e, draws = both.params[name], drawn.draws[:, drawn.names.index(name)]
         assert np.mean(draws) == pytest.approx(e.value, abs=0.15 * e.stderr)
-        assert np.std(draws) == pytest.approx(e.stderr, rel=0.1)
+        assert np.std(draws) == pytest.approx(e.stderr, rel=0.12)
 
 
 def test_without_blackjax_one_line_says_so(monkeypatch, noisy):

@@ -15,9 +15,11 @@ from godfit.studies.select import select
 from tests.support import ladder_truths, random_targets
 
 pytestmark = pytest.mark.usefixtures("single_precision")
+# That of most fits in the tests, whose programs these share.
+SIZE = 96
 
 
-def chosen(rung, noise, seed=2, size=64):
+def chosen(rung, noise, seed=2, size=SIZE):
     mask, image = ladder_truths.draw(seed, rung, size)
     target = random_targets.to_bytes(image, noise, seed)
     return select(
@@ -48,13 +50,13 @@ def test_criteria_are_those_of_the_likelihood(whole):
     for row in whole[0].rows:
         cost = -2 * row.rung.settled.log_likelihood
         assert row.aic == pytest.approx(cost + 2 * row.rung.parameters)
-        assert row.bic == pytest.approx(cost + np.log(64 * 64) * row.rung.parameters)
+        assert row.bic == pytest.approx(cost + np.log(SIZE**2) * row.rung.parameters)
 
 
 def test_shaders_that_draw_the_same_picture_are_one(whole):
     found, target = whole
     assert {"dawntime", "vesper"} <= found.equivalent.keys()
-    mask, _ = ladder_truths.draw(2, "+ own pixel", 64)
+    mask, _ = ladder_truths.draw(2, "+ own pixel", SIZE)
     numbers = ("exposure", "decay", "density", "weight")
     for shader, values in found.equivalent.items():
         light = [values["light_x"], values["light_y"]]
@@ -65,7 +67,7 @@ def test_shaders_that_draw_the_same_picture_are_one(whole):
 
 def test_command_writes_a_table_and_two_files(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    mask, image = ladder_truths.draw(1, "shader defaults", 64)
+    mask, image = ladder_truths.draw(1, "shader defaults", SIZE)
     write_image("frame.png", random_targets.to_bytes(image) / 255)
     write_image("mask.png", mask / 255)
     options = ["--mask", "mask.png", "--shader", "dawntime", "--samples", "100", "-q"]

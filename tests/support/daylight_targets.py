@@ -100,9 +100,9 @@ def draw(seed: int, kind: str, size: int = SIZE):
     return view, image * truth["e_sun"], truth
 
 
-def attempt(seed: int, kind: str, noise: float):
+def attempt(seed: int, kind: str, noise: float, size: int = SIZE):
     """(found, converged, errors over standard errors (6,), description)."""
-    view, image, truth = draw(seed, kind)
+    view, image, truth = draw(seed, kind, size)
     result = fit(
         random_targets.to_bytes(image, noise, seed), mask=view["mask"], model="hoffman-preetham",
         fov=view["fov"], distance=view["distance"], samples=SAMPLES,

@@ -10,12 +10,13 @@ from godfit.scattering.conventions import CONVENTIONS, convention
 from godfit.scattering.radial.merged_taps import merge
 from godfit.scattering.taps import Taps
 from tests.support import scattering_oracle as oracle
+from tests.support.compiling import quick_jit
 
 # One of every algorithm: others of its name are the same code with another number.
 ALGORITHMS = ["merged/4", "quarter", "polar", "gauss/16"]
 APPROXIMATE = [name for name in radial.METHODS if name not in radial.EXACT]
 radial_sum = jax.jit(radial.radial_sum, static_argnames="method")
-slope = jax.jit(jax.jacfwd(radial.radial_sum, argnums=1), static_argnames="method")
+slope = quick_jit(jax.jacfwd(radial.radial_sum, argnums=1), static_argnames="method")
 
 # A total near 2: as bright as pictures get.
 TAPS = Taps(0.02, 0.021, 0.985, 0.85 / 60, 60)
@@ -184,9 +185,9 @@ def values(z, mask, method):
     return out, out
 
 
-VALUES = jax.jit(lambda z, mask, method: values(z, mask, method)[0], static_argnames="method")
+VALUES = quick_jit(lambda z, mask, method: values(z, mask, method)[0], static_argnames="method")
 # With the values themselves.
-SLOPES = jax.jit(jax.jacfwd(values, has_aux=True), static_argnames="method")
+SLOPES = quick_jit(jax.jacfwd(values, has_aux=True), static_argnames="method")
 
 
 @pytest.mark.parametrize("method", ALGORITHMS)
@@ -209,7 +210,7 @@ def test_forward_is_the_slope_of_the_values(method):
 def test_reverse_is_forward(method):
     z = jnp.array([*LIGHTS["on screen"], 0.02, 0.021, 0.97, 0.0142])
     pull = jnp.asarray(np.random.default_rng(3).normal(size=SOFT.shape))
-    reverse = jax.jit(jax.grad(lambda z: jnp.vdot(pull, VALUES(z, SOFT, method))))(z)
+    reverse = quick_jit(jax.grad(lambda z: jnp.vdot(pull, values(z, SOFT, method)[0])))(z)
     forward = jnp.einsum("hw,hwz->z", pull, SLOPES(z, SOFT, method)[0])
     np.testing.assert_allclose(reverse, forward, rtol=1e-9)
 

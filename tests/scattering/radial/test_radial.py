@@ -13,6 +13,7 @@ from godfit.scattering.conventions import convention
 from godfit.scattering.radial.spacings_kernel import residual_squares
 from godfit.scattering.taps import Taps
 from tests.support import scattering_oracle as oracle
+from tests.support.compiling import quick_jit
 
 # The module; the package has a function of that name.
 pairs_module = importlib.import_module("godfit.scattering.radial.pairs")
@@ -102,7 +103,7 @@ def test_taps_beyond_the_light(method, light, taps):
         assert off.max() < 2e-5
 
 
-@functools.partial(jax.jit, static_argnames="method")
+@functools.partial(quick_jit, static_argnames="method")
 def sum_and_slopes(numbers, mask, at, method):
     """The sum at points, and its derivatives by the light and the taps' four numbers."""
 
@@ -143,7 +144,7 @@ def test_whole_pixels_are_met_exactly(method):
     )
 
 
-@functools.partial(jax.jit, static_argnames="method")
+@functools.partial(quick_jit, static_argnames="method")
 def row_and_slopes(light, ratio, mask, at, method):
     """The sum of 40 taps at points, and its derivatives by the light and the ratio."""
 
@@ -182,7 +183,7 @@ def test_pairs_beyond_one_block(monkeypatch, block):
 
     def compiled():
         # A function of its own: no cache would notice that POINTS_PER_BLOCK has changed.
-        return jax.jit(lambda light: (everything(light), jax.jacfwd(everything)(light)))(light)
+        return quick_jit(lambda light: (everything(light), jax.jacfwd(everything)(light)))(light)
 
     expected = compiled()
     monkeypatch.setattr(pairs_module, "POINTS_PER_BLOCK", block)
