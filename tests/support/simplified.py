@@ -50,6 +50,4 @@ def attempt(seed: int, tolerance: float | None, by: str, size: int) -> tuple[Sim
     off = picture64(found.model, low.astype(float), shape)
     off -= picture64(model, values.astype(float), shape)
     true = np.abs(off).max() if by == "worst" else np.sqrt((off**2).mean())
-    # Every number of samples is a program of its own.
-    jax.clear_caches()
     return found, float(true), tolerance
