@@ -148,7 +148,10 @@ def _reference(model, mask):
     return model(mask, None, method="reference")
 
 
-@pytest.mark.parametrize("name", SCENES)
+# Between the first and the last frame of a sequence, the files are those that are made.
+@pytest.mark.parametrize(
+    "name", [name for name in SCENES if not re.fullmatch("(flight|icosahedra)_[1-4]", name)]
+)
 def test_scene_has_the_truth_and_gives_mask_and_target(name):
     truth = SCENES[name]
     scene = read_scene(FOLDER / truth["scene"])
