@@ -89,9 +89,9 @@ def line(each: Cost) -> str:
     return f"{1 / each.wall:8.2f} {each.wall:8.3f} {each.processor:18.3f}"
 
 
-def commit_seconds(folder: Path) -> tuple[float, int]:
+def commit_seconds(folder: Path, workers: int) -> tuple[float, int]:
     """Seconds of a commit, and bytes of a record with its thumbnail."""
-    with Journal(folder / "few1" / "journal.sqlite", writes=False) as few:
+    with Journal(folder / f"few{workers}" / "journal.sqlite", writes=False) as few:
         outcome = next(row.outcome for row in few.rows() if row.outcome)
         (size,) = few.connection.execute(
             "select avg(length(record) + length(thumbnail)) from fits"
@@ -154,7 +154,7 @@ def main() -> None:
         print(f"{count:>5} apart  {line(each)}")
         # In kilobytes, the largest of all processes that were waited for.
         peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-        commit, size = commit_seconds(folder)
+        commit, size = commit_seconds(folder, given.workers[0])
         way = way_seconds(folder)
     print(f"memory of the largest process: {peak / 1e6:.2f} GB")
     print(

@@ -43,6 +43,11 @@ class Tinted(AbstractShaded):
         return self.shading.light
 
     @property
+    def colour(self) -> Float[Array, "3"]:
+        """The light's red, green and blue."""
+        return jnp.stack([self.tint[0], jnp.ones_like(self.tint[0]), self.tint[1]])
+
+    @property
     def parameters(self) -> dict[str, Parameter]:
         return self.shading.parameters | {p.name: p for p in TINT_PARAMETERS}
 
@@ -94,8 +99,7 @@ class Tinted(AbstractShaded):
         light = at_pixels(self.shading.light_pass, mask, size, pixels, texels)
         if mask.ndim == 2:
             light = light[..., None]
-        colour = jnp.stack([self.tint[0], jnp.ones_like(self.tint[0]), self.tint[1]])
-        light = light * colour.reshape((1,) * (light.ndim - 1) + (3,))
+        light = light * self.colour.reshape((1,) * (light.ndim - 1) + (3,))
         return self.shading.composite(light, background, pixels)
 
 

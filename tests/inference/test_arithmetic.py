@@ -26,6 +26,7 @@ from godfit.inference.problem import Problem
 from godfit.io.sidecar import read_sidecar
 from godfit.io.sources import read_source
 from godfit.models.mitchell import Mitchell
+from godfit.models.tinted import TintedMask
 from tests.support import gpu_walk, random_targets, scattering_oracle
 
 SHADER, SIZE = "dawntime", (72, 96)
@@ -169,6 +170,29 @@ def test_noise_does_not_depend_on_what_is_held(single_precision):
     lower = 255 * np.sqrt((drifts.T * by_light().reshape(-1, 2) ** 2).sum(1))
     # At kinks of the mask single precision may take the other slope.
     assert np.mean(noise[0] >= 0.999 * lower) > 0.99
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_a_coloured_light_has_the_noise_of_each_channel(held, single_precision):
+    walked = gpu_walk.walk(mask(), SHADER, TRUTH, fractions=256)
+    tint = np.array([0.5, 0.25])
+    coloured = random_targets.to_bytes(walked[..., None] * [tint[0], 1, tint[1]])
+    grey = problem(random_targets.to_bytes(walked), GPU)
+    picture = Picture.make(read_source(coloured, "none"), grey.picture.mask, None, None, 3)
+    picture = dataclasses.replace(picture, arithmetic=GPU)
+    lit = TintedMask(model(), tint)
+    fixed = np.full(len(lit.parameters), np.nan, np.float32)
+    if held:
+        fixed[4:6] = LIGHT
+    noise = []
+    for one in (grey, Problem(lit, picture, np.isnan(fixed), fixed)):
+        whole = one.picture.observe(np.arange(walked.size))
+        z = np.asarray(one.model.coordinates(), np.float32)
+        noise.append(np.asarray(with_arithmetic(whole, one, z).own_noise))
+    # The channels share one draw, which counts three times.
+    expected = np.sqrt(3) * noise[0][:, None] * [tint[0], 1, tint[1]]
+    some = noise[0] > np.median(noise[0])
+    np.testing.assert_allclose(noise[1].reshape(-1, 3)[some], expected[some], rtol=0.02)
 
 
 def test_errors_hold_where_the_target_walked(single_precision, tmp_path):

@@ -49,6 +49,7 @@ from godfit.io.image import LEVELS, decode, encode
 from godfit.models.base import AbstractModel, Vector
 from godfit.models.mitchell import Mitchell
 from godfit.models.shaded import AbstractShaded
+from godfit.models.tinted import Tinted
 from godfit.runtime.program_cache import cached_jit
 from godfit.scattering.parameters import is_light
 from godfit.scattering.radial import radial_sum
@@ -150,11 +151,18 @@ def _by_light(
     light = flat.light.reshape(-1)
 
     def predict(places):
-        moved = eqx.tree_at(lambda m: m.light, flat, places.reshape(flat.light.shape))
+        moved = eqx.tree_at(lambda m: _sum_of(m).light, flat, places.reshape(flat.light.shape))
         return there.predict(moved)
 
     rows = [jax.jvp(predict, (light,), (way,))[1] for way in jnp.eye(len(light), dtype=light.dtype)]
     return flat.light, jnp.stack(rows)
+
+
+def _sum_of(model: AbstractModel) -> Mitchell:
+    """The sum that a model shows, itself or a part of it."""
+    lit = model.shading if isinstance(model, AbstractShaded) else model
+    assert isinstance(lit, Mitchell)
+    return lit
 
 
 @cached_jit
@@ -169,15 +177,17 @@ def _by_taps(
     variances of the texels; None for those by rounded fractions of a texel."""
     observation, texels = read
     flat, mask = model.moved(coordinates, held).flat(observation.mask)
-    assert isinstance(flat, Mitchell)
+    lit = _sum_of(flat)
     some = None if observation.whole else observation.pixels
     image = FRACTION_ROUNDING**2 * squared_slopes(mask) if texels is None else texels
     squares = at_pixels(
-        lambda image, at: squared_sum(flat, image, at), image, observation.size, some,
-        observation.texels, flat.full_size,
+        lambda image, at: squared_sum(lit, image, at), image, observation.size, some,
+        observation.texels, lit.full_size,
     )  # fmt: skip
     squares = squares.reshape(observation.pixels.shape[0], -1)
     squares = jnp.broadcast_to(squares, (observation.pixels.shape[0], observation.channels))
+    if isinstance(flat, Tinted):
+        squares = squares * jnp.square(flat.colour)[None]
     linear = decode(jnp.asarray(prediction) / LEVELS, observation.transfer)
     _, by_light = jax.jvp(
         lambda z: LEVELS * encode(z, observation.transfer), (linear,), (jnp.ones_like(linear),)
