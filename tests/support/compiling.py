@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -15,5 +17,9 @@ reference sum is read beyond the light, it is optimised."""
 
 quick_jit = functools.partial(jax.jit, compiler_options=UNOPTIMISED)
 """``jax.jit`` without LLVM's optimisation."""
-quick_filter_jit = functools.partial(eqx.filter_jit, compiler_options=UNOPTIMISED)
-"""``equinox.filter_jit`` without LLVM's optimisation."""
+
+
+def quick_filter_jit(function: Callable[..., Any]) -> Callable[..., Any]:
+    """``equinox.filter_jit`` without LLVM's optimisation."""
+    jit: Any = eqx.filter_jit
+    return jit(function, compiler_options=UNOPTIMISED)
