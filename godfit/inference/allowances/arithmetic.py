@@ -31,6 +31,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -158,11 +159,9 @@ def _by_light(
     return flat.light, jnp.stack(rows)
 
 
-def _sum_of(model: AbstractModel) -> Mitchell:
-    """The sum that a model shows, itself or a part of it."""
-    lit = model.shading if isinstance(model, AbstractShaded) else model
-    assert isinstance(lit, Mitchell)
-    return lit
+def _sum_of(model: AbstractModel) -> Any:
+    """What has the light as a field of its own: the sum that a model shows, or the model."""
+    return model.shading if isinstance(model, AbstractShaded) else model
 
 
 @cached_jit
@@ -178,6 +177,7 @@ def _by_taps(
     observation, texels = read
     flat, mask = model.moved(coordinates, held).flat(observation.mask)
     lit = _sum_of(flat)
+    assert isinstance(lit, Mitchell)
     some = None if observation.whole else observation.pixels
     image = FRACTION_ROUNDING**2 * squared_slopes(mask) if texels is None else texels
     squares = at_pixels(
