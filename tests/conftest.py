@@ -77,7 +77,6 @@ COMPILED = (
     "godfit.runtime.xla_ffi",
     "godfit.runtime.call_frame",
     "godfit.runtime.machine_code",
-    "godfit.scattering.radial.spacings_kernel",
 )
 compiled = {name: importlib.import_module(name) for name in COMPILED}
 # In the folder of the whole run, and not in that of the test that is the first to call a kernel.

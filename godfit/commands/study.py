@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 
 VIDEO_FRAME = re.compile(r"#\d+$")
 """The number of a frame, at the end of its name."""
+SUM = "godfit_sums_single", "godfit.scattering.radial.strips_kernel:_sums_single"
+"""Name and place of the compiled function that nearly every fit needs and waits for; the module
+that declares it imports JAX."""
 NOT_CONVERGED = 3
 """Exit status of a fit that did not converge."""
 PROGRAM_SETTINGS = {
@@ -150,6 +153,9 @@ def working(run: Run) -> Iterator[Progress]:
     """Show progress, and keep compiled programs and little memory."""
     with Progress(run.quiet, run.verbose) as progress:
         progress(LOADING)
+        from godfit.runtime.machine_code import compile_ahead
+
+        compile_ahead(*SUM)
         from godfit.runtime.cache import enable_jax_cache
         from godfit.runtime.program_cache import enable_program_cache, save_preload_list
 
@@ -171,6 +177,7 @@ def prepare(
     the target's: each size has programs of its own. Raises InputError for a size whose fit needs
     more memory than there is."""
     from godfit.runtime.memory import FIT_BYTES, check_memory
+    from godfit.runtime.program_cache import expect_programs
 
     if size:
         check_memory(FIT_BYTES * size[0] * size[1], f"target: {size[1]}x{size[0]} pixels")
@@ -185,6 +192,7 @@ def prepare(
     kernels = options.get("model", "mitchell") == "mitchell"
     settings = {name: options[name] for name in sorted(options) if name in PROGRAM_SETTINGS}
     run_key = repr((sys.argv[1:2], size, settings))
+    expect_programs(run_key)
     threading.Thread(target=_load_ahead, args=(kernels, run_key), daemon=True).start()
 
 

@@ -13,12 +13,14 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from godfit.inference.observation import Picture
 from godfit.io.filters import grey
 from godfit.io.image import LEVELS
 from godfit.models.mitchell import Mitchell, resampled
-from godfit.runtime.parallel import cores, parallel_map
+from godfit.runtime.parallel import parallel_map
+from godfit.runtime.program_cache import cached_jit
 from godfit.scattering.parameters import density_reach
 
 SPACING_PIXELS = 128
@@ -33,6 +35,13 @@ FEWEST_SAMPLES = 4
 """Taps of the coarsest shader whose number is named: those of a low preset."""
 MOST_SAMPLES = 320
 """Samples of the finest shader that is tried: the scan takes time in proportion."""
+SPACINGS_AT_ONCE = 128
+"""Spacings of one call: enough that its cost is that of its sums, few enough for all cores."""
+RELATIVE_RIDGE = 1e-12
+"""Added to the diagonal of the normal equations, relative to its sum: a matrix without an own-pixel
+column is singular."""
+LEAST_RIDGE = 1e-300
+"""The same, absolute, for a mask that is black at all points."""
 SPACING_OFFSETS = np.linspace(-1, 1, 9)
 """Densities that are tried for a number of samples, in distances between two taps."""
 SAMPLES_GAIN = 8.0
@@ -47,7 +56,8 @@ class Spacing(NamedTuple):
 
 
 class _Scan:
-    """Costs of spacings at ``count`` pixels that are not clipped, all else as in ``model``."""
+    """Costs of spacings at ``count`` pixels, but for those that are clipped, all else as in
+    ``model``."""
 
     def __init__(
         self, model: Mitchell, picture: Picture, count: int, seed: int, own: bool | None = None
@@ -56,41 +66,69 @@ class _Scan:
         self.kappa = -model.samples * math.log(max(decay, 1e-12)) / density
         self.drop = model.convention.drop
         self.shows_own = model.convention.own_pixel if own is None else own
-        u, v = (float(z) for z in np.asarray(model.light)[0])
-        self.light = u, v
+        self.light = tuple(float(z) for z in np.asarray(model.light)[0])
         pixels = picture.informative(count, seed)
-        pixels = pixels[~picture.clipped.reshape(-1)[pixels]]
         h, w = picture.size
-        low = picture.mask.shape
-        # The border is repeated as the compiled sum expects it.
-        mask = np.pad(grey(picture.mask), ((1, 1), (1, 2)), mode="edge")
-        self.mask = np.ascontiguousarray(mask, np.float32)
-        self.size = low
-        x = (pixels % w + 0.5) * low[1] / w - 0.5
-        y = (pixels // w + 0.5) * low[0] / h - 0.5
+        self.mask = np.asarray(grey(picture.mask), np.float32)
+        rows, columns = self.mask.shape
+        x = (pixels % w + 0.5) * columns / w - 0.5
+        y = (pixels // w + 0.5) * rows / h - 0.5
         self.at = np.stack([x, y]).astype(np.float32)
+        # Clipped pixels count nothing. Without them each picture would compile its own program.
+        self.counted = ~picture.clipped.reshape(-1)[pixels]
         levels = picture.levels.reshape(-1, picture.channels)[pixels].mean(-1)
-        self.target = levels.astype(np.float64) / LEVELS
+        self.target = np.where(self.counted, levels, 0).astype(np.float64) / LEVELS
 
     def costs(self, tried: list[Spacing]) -> np.ndarray:
         """(n,) sums of squared residuals, exposure and gain free."""
-        h, w = self.size[:2]
-        u, v = self.light
-        from godfit.scattering.radial.spacings_kernel import residual_squares
+        (h, w), (u, v) = self.mask.shape, self.light
+        steps = np.array([taps.step for taps in tried])
+        ratios = np.exp(-self.kappa * steps)
+        place = np.broadcast_to([u * w - 0.5, (1 - v) * h - 0.5], (len(tried), 2))
+        rays = np.column_stack([place, ratios, steps, np.zeros(len(tried))]).astype(np.float32)
+        counts = np.array([taps.samples - self.drop for taps in tried], np.int32)
+        # The mask at the points is the sum over one tap of weight 1 at no distance.
+        own_ray = np.float32([[*place[0], 1, 0, 0]])
+        own = self._sums(own_ray, np.ones(1, np.int32))[0] * self.shows_own
 
-        parts = np.array_split(np.arange(len(tried)), min(len(tried), 4 * cores()))
+        def squares(begin: int) -> np.ndarray:
+            block = slice(begin, begin + SPACINGS_AT_ONCE)
+            return squares_left(self.target, own, self._sums(rays[block], counts[block]))
 
-        def costs_of(part: np.ndarray) -> np.ndarray:
-            steps = np.array([tried[i].step for i in part])
-            counts = np.array([tried[i].samples - self.drop for i in part])
-            numbers = np.zeros((len(part), 5))
-            numbers[:, 0], numbers[:, 1] = u * w - 0.5, (1 - v) * h - 0.5
-            numbers[:, 2], numbers[:, 3] = np.exp(-self.kappa * steps), steps
-            return residual_squares(
-                self.mask, self.at, numbers, counts, self.shows_own, self.target
-            )
+        return np.concatenate(parallel_map(squares, range(0, len(tried), SPACINGS_AT_ONCE)))
 
-        return np.concatenate(parallel_map(costs_of, parts))
+    def _sums(self, rays: np.ndarray, counts: np.ndarray) -> np.ndarray:
+        """(n, points) sums over taps; the last ray is repeated, as another number of rays would
+        compile another program."""
+        n = len(counts)
+        every = np.arange(SPACINGS_AT_ONCE).clip(max=n - 1)
+        sums = _sums_of_rays(self.mask, rays[every], counts[every], self.at)
+        return np.asarray(sums, np.float64)[:n] * self.counted
+
+
+def squares_left(
+    target: Float[np.ndarray, " points"],
+    own: Float[np.ndarray, " points"],
+    sums: Float[np.ndarray, "n points"],
+) -> Float[np.ndarray, " n"]:
+    """Sums of squares that ``own`` and each of the ``sums`` leave of ``target``, both with the
+    weights that leave least."""
+    aa, ay = own @ own, own @ target
+    ab, bb, by = sums @ own, (sums * sums).sum(-1), sums @ target
+    ridge = RELATIVE_RIDGE * (aa + bb) + LEAST_RIDGE
+    aa, bb = aa + ridge, bb + ridge
+    determinant = aa * bb - ab * ab
+    own_weight = (bb * ay - ab * by) / determinant
+    sum_weight = (aa * by - ab * ay) / determinant
+    residuals = target - own_weight[:, None] * own - sum_weight[:, None] * sums
+    return (residuals * residuals).sum(-1)
+
+
+@cached_jit
+def _sums_of_rays(mask, rays, counts, at):
+    from godfit.scattering.radial.strips import sums_of_rays
+
+    return sums_of_rays(mask, rays, counts, at)
 
 
 def other_samples(model: Mitchell, picture: Picture, seed: int = 0) -> Mitchell | None:
@@ -112,8 +150,9 @@ def other_samples(model: Mitchell, picture: Picture, seed: int = 0) -> Mitchell 
     costs = fine.costs(candidates)
     best, least = candidates[int(costs.argmin())], costs.min()
     # Rounding is noise as well.
-    floor = len(fine.target) / 12 / LEVELS**2
-    gain = 0.5 * len(fine.target) * math.log(max(own, floor) / max(least, floor))
+    values = int(fine.counted.sum())
+    floor = values / 12 / LEVELS**2
+    gain = 0.5 * values * math.log(max(own, floor) / max(least, floor))
     if gain < SAMPLES_GAIN or best.samples == model.samples:
         return None
     other = resampled(model, best.samples)
@@ -141,7 +180,7 @@ def spacings(model: Mitchell, picture: Picture, seed: int = 0) -> list[tuple[flo
         if len(numbers) == FINE_SPACINGS:
             break
     candidates = [taps for n in numbers for taps in _about(model, n)]
-    costs = fine.costs(candidates) * LEVELS**2 / max(len(fine.target), 1)
+    costs = fine.costs(candidates) * LEVELS**2 / max(fine.counted.sum(), 1)
     best: dict[int, tuple[float, Spacing]] = {}
     for cost, taps in zip(costs, candidates, strict=True):
         if cost < best.get(taps.samples, (np.inf, taps))[0]:

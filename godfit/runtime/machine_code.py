@@ -14,16 +14,23 @@ A damaged file is removed, and numba's own store serves until the sources change
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
+import importlib
 import json
+import os
 import platform
+import subprocess
+import sys
+import threading
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from godfit.runtime.cache import version_folder
 from godfit.runtime.checked_files import discard, read_checked, write_checked
+from godfit.runtime.parallel import cores
 
 LIBRARY = {"free", "malloc", "memcpy", "memmove", "memset"}
 """Functions of the C library that stored code may call."""
@@ -63,12 +70,25 @@ def _folder() -> Path | None:
 
 
 def load_code(name: str) -> int | None:
-    """The address of the custom call ``name`` in this process; None where an earlier run has stored
-    none, or it refers to what is not there."""
+    """The address of the custom call ``name`` in this process: what an earlier run has stored, or
+    what a process of ``compile_ahead`` has compiled. None where neither is, or it refers to what is
+    not there."""
     folder = _folder()
     content = None if folder is None else read_checked(folder / name)
-    if folder is None or content is None:
-        return None
+    if content is not None and folder is not None:
+        address = _linked(content)
+        if address is None:
+            discard(folder / name)
+        return address
+    content = _from_process(name)
+    address = None if content is None else _linked(content)
+    if content is not None and address is not None and folder is not None:
+        write_checked(folder / name, content)
+    return address
+
+
+def _linked(content: bytes) -> int | None:
+    """The address of a stored function, linked into this process; None where that cannot be."""
     try:
         import llvmlite.binding as llvm
 
@@ -90,29 +110,103 @@ def load_code(name: str) -> int | None:
         engine.finalize_object()
         address = engine.get_function_address(symbol)
     except Exception:
-        discard(folder / name)
         return None
     _engines.append(engine)
     return address or None
 
 
-def store_code(name: str, compiled: Any) -> None:
-    """Store the machine code of ``compiled``, numba's C function, where it needs nothing of numba.
-    What this uses of numba is not public: another version may lack it, and then nothing is
-    stored."""
-    folder = _folder()
-    if folder is None:
-        return
+def compiled(name: str, place: str) -> Any:
+    """numba's C function of the custom call ``name`` at ``place`` "module:name". Its machine code
+    is stored for ``load_code``."""
+    function = _compiled(place)
+    content, folder = _content(function), _folder()
+    if content is not None and folder is not None:
+        write_checked(folder / name, content)
+    return function
+
+
+def _compiled(place: str) -> Any:
+    from numba import cfunc
+
+    from godfit.runtime.call_frame import FRAME_SIGNATURE
+    from godfit.runtime.numba_cache import store_compiled
+
+    module, _, own_name = place.partition(":")
+    function = getattr(importlib.import_module(module), own_name)
     try:
-        library = compiled._library
+        from numba.core.ccallback import CFunc
+        from numba.core.sigutils import normalize_signature
+
+        # ``cfunc`` compiles at once, before its cache could be replaced.
+        made = CFunc(function, normalize_signature(FRAME_SIGNATURE), locals={}, options={})
+        store_compiled(made, function)
+    except Exception:
+        return cfunc(FRAME_SIGNATURE)(function)
+    made.compile()
+    return made
+
+
+def _content(function: Any) -> bytes | None:
+    """What is stored of a C function of numba's; None where it needs more than there is without
+    numba. What this uses of numba is not public: another version may lack it."""
+    try:
+        library = function._library
         module = library._final_module
         declared = [*module.functions, *module.global_variables]
         names = {z.name for z in declared if z.is_declaration and not z.name.startswith("llvm.")}
         known = LIBRARY | NEVER_CALLED | {z for z in names if z.startswith(PYTHON)}
         if names - known:
-            return
-        head = json.dumps([compiled._wrapper_name, sorted(names)])
-        code = library._get_compiled_object()
+            return None
+        head = json.dumps([function._wrapper_name, sorted(names)])
+        return head.encode() + b"\n" + library._get_compiled_object()
     except Exception:
+        return None
+
+
+def compile_ahead(name: str, place: str) -> None:
+    """Compile the custom call ``name`` at ``place`` in a process of its own, for ``load_code``,
+    where no earlier run has stored it.
+
+    numba works under the interpreter's lock: on a thread, both it and the command would take half
+    as long again. The process ends with this one, whose end closes its input.
+    """
+    folder = _folder()
+    if folder is None or (folder / name).exists() or name in _processes or cores() < 2:
         return
-    write_checked(folder / name, head.encode() + b"\n" + code)
+    # A short process makes no garbage worth looking for: that takes a tenth of its time.
+    program = f"import gc; gc.disable(); from {__name__} import _serve; _serve({place!r})"
+    with contextlib.suppress(OSError):
+        _processes[name] = subprocess.Popen(
+            [sys.executable, "-P", "-c", program],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+
+
+_processes: dict[str, subprocess.Popen[bytes]] = {}
+
+
+def _from_process(name: str) -> bytes | None:
+    """What a process of ``compile_ahead`` has compiled, once it has; None where it failed."""
+    process = _processes.pop(name, None)
+    if process is None:
+        return None
+    assert process.stdin is not None
+    assert process.stdout is not None
+    # Its input stays open until it is done.
+    with process.stdin, process.stdout:
+        content = process.stdout.read()
+    return content if process.wait() == 0 and content else None
+
+
+def _serve(place: str) -> None:
+    """Compile the function at ``place`` and write what ``_content`` returns to the output."""
+    threading.Thread(target=_end_with_input, daemon=True).start()
+    content = _content(_compiled(place))
+    sys.stdout.buffer.write(content or b"")
+    sys.stdout.buffer.flush()
+    os._exit(0)
+
+
+def _end_with_input() -> None:
+    sys.stdin.buffer.read()
+    os._exit(1)

@@ -9,8 +9,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from godfit.runtime.guest import own_settings
-
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -44,6 +42,9 @@ def map_halves(
 def parallel_imap(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
     """As ``parallel_map``, but yields each result when it is ready, while the threads compute the
     later ones."""
+
+    # With JAX, which those who only count the cores do without.
+    from godfit.runtime.guest import own_settings
 
     def in_single_precision(item: Item) -> Result:
         # Settings belong to a thread, so a new thread does not have the caller's.

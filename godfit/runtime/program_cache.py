@@ -46,6 +46,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from godfit.runtime import xla_ffi
 from godfit.runtime.cache import STORED_ELSEWHERE, version_folder
 from godfit.runtime.checked_files import discard, read_checked, write_checked
 from godfit.runtime.machine_code import processor
@@ -75,6 +76,7 @@ _preloads: dict[str, Future[Program | None]] = {}
 _used_files: dict[str, None] = {}
 # The command, image size and settings of this process; empty before ``preload_programs``.
 _workload = ""
+_must_compile = False
 
 
 def enable_program_cache() -> None:
@@ -86,13 +88,24 @@ def enable_program_cache() -> None:
 
 def disable_program_cache() -> None:
     """Store and load none from now on, and release the programs that are in memory."""
-    global _folder, _workload
-    _folder, _workload = None, ""
+    global _folder, _workload, _must_compile
+    _folder, _workload, _must_compile = None, "", False
     _programs.clear()
     _locks.clear()
     _preloads.clear()
     _used_files.clear()
     _jit.cache_clear()
+
+
+def expect_programs(workload: str) -> None:
+    """Note whether an earlier command had this ``workload``, for ``must_compile``."""
+    global _must_compile
+    _must_compile = _folder is not None and read_checked(_preload_list(_folder, workload)) is None
+
+
+def must_compile() -> bool:
+    """Whether this process is the first with its workload, and stores what it compiles."""
+    return _must_compile
 
 
 def preload_programs(workload: str) -> None:
@@ -106,7 +119,7 @@ def preload_programs(workload: str) -> None:
     if folder is None:
         return
     # Nothing where no earlier command had this workload.
-    names = (read_checked(_preload_list(folder)) or b"").decode().split()
+    names = (read_checked(_preload_list(folder, workload)) or b"").decode().split()
     futures = {name: Future() for name in names if PROGRAM_NAME.fullmatch(name)}
     _preloads.update(futures)
     for name, future in futures.items():
@@ -122,13 +135,13 @@ def save_preload_list() -> None:
     """
     wait([future for future in _preloads.values() if not future.cancel()])
     if _workload and _folder is not None and _used_files:
-        file, names = _preload_list(_folder), "\n".join(_used_files).encode()
+        file, names = _preload_list(_folder, _workload), "\n".join(_used_files).encode()
         if read_checked(file) != names:
             write_checked(file, names)
 
 
-def _preload_list(folder: Path) -> Path:
-    return folder / ("needed-" + hashlib.sha256(_workload.encode()).hexdigest()[:16])
+def _preload_list(folder: Path, workload: str) -> Path:
+    return folder / ("needed-" + hashlib.sha256(workload.encode()).hexdigest()[:16])
 
 
 class RunTime(int):
@@ -221,10 +234,15 @@ def _load_or_compile(folder: Path, key: tuple, arrays: list[Any]) -> tuple[Progr
     # An executable that JAX has loaded from its own cache is serialised without some of its parts.
     # By this name JAX finds and stores none there.
     leaves.__name__ = STORED_ELSEWHERE + of_arrays.__name__
-    lowered = jax.jit(leaves).lower(*arrays)
+    with xla_ffi.registered_later():
+        lowered = jax.jit(leaves).lower(*arrays)
+    custom_calls = sorted(set(CUSTOM_CALL.findall(lowered.as_text())))
+    # Every one, whether known or not: XLA compiles no call without its function.
+    unknown = [name for name in custom_calls if not _register_custom_call(name)]
     executable = _compile(lowered)
     (structure,) = structures
-    _store(file, executable, structure, sorted(set(CUSTOM_CALL.findall(lowered.as_text()))))
+    if not unknown:
+        _store(file, executable, structure, custom_calls)
     program = _with_structure(executable, structure)
     return program, program(*arrays)
 
@@ -279,8 +297,6 @@ def _store(file: Path, executable: Any, structure: Any, custom_calls: list[str])
     from jax.experimental.serialize_executable import serialize
 
     try:
-        if not all(map(_register_custom_call, custom_calls)):
-            return
         content = pickle.dumps((custom_calls, structure, *serialize(executable)))
     except Exception:
         # An executable that cannot be serialised: a later run compiles it again.
@@ -293,9 +309,7 @@ def _register_custom_call(name: str) -> bool:
     if name.startswith(LAPACK_PREFIX):
         _register_lapack()
         return True
-    # Not imported here: a module that declares a custom call has imported it.
-    xla_ffi = sys.modules.get("godfit.runtime.xla_ffi")
-    return xla_ffi is not None and xla_ffi.register(name)
+    return xla_ffi.register(name)
 
 
 @functools.cache

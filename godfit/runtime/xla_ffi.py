@@ -11,14 +11,15 @@ has compiled is loaded without them where ``machine_code.py`` can.
 from __future__ import annotations
 
 import ctypes
-import importlib
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any, NamedTuple
 
 import jax
 
-from godfit.runtime.machine_code import load_code, store_code
+from godfit.runtime import machine_code
 
 _CALL = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)
 """Type of a function that XLA calls."""
@@ -48,27 +49,18 @@ def declare(prefix: str, places: Mapping[Any, str]) -> dict[Any, str]:
     return names
 
 
-def _compiled(name: str, place: str) -> Any:
-    """The C function at ``place``, compiled, or loaded from the cache where numba allows it."""
-    from numba import cfunc
+_later: ContextVar[bool] = ContextVar("later", default=False)
 
-    from godfit.runtime.call_frame import FRAME_SIGNATURE
-    from godfit.runtime.numba_cache import store_compiled
 
-    module, _, own_name = place.partition(":")
-    function = getattr(importlib.import_module(module), own_name)
+@contextmanager
+def registered_later() -> Iterator[None]:
+    """Programs can be lowered in here while another thread compiles the functions that they call.
+    Whoever compiles such a program registers these before."""
+    token = _later.set(True)
     try:
-        from numba.core.ccallback import CFunc
-        from numba.core.sigutils import normalize_signature
-
-        # ``cfunc`` compiles at once, before its cache could be replaced.
-        compiled = CFunc(function, normalize_signature(FRAME_SIGNATURE), locals={}, options={})
-        store_compiled(compiled, function)
-    except Exception:
-        return cfunc(FRAME_SIGNATURE)(function)
-    compiled.compile()
-    store_code(name, compiled)
-    return compiled
+        yield
+    finally:
+        _later.reset(token)
 
 
 def register(name: str) -> bool:
@@ -82,8 +74,11 @@ def register(name: str) -> bool:
         return False
     with target.lock:
         if not target.registered.is_set():
-            address = load_code(name)
-            function = _compiled(name, target.place).ctypes if address is None else _CALL(address)
+            address = machine_code.load_code(name)
+            if address is None:
+                function = machine_code.compiled(name, target.place).ctypes
+            else:
+                function = _CALL(address)
             jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(function), platform="cpu")
             target.registered.set()
     return True
@@ -107,7 +102,8 @@ def call(name: str, result: jax.ShapeDtypeStruct, *arguments: jax.Array, ranks: 
                 f"{name}: expected argument {place} of {rank} axes in {result.dtype} or int32, got "
                 f"{argument.ndim} in {argument.dtype}"
             )
-    register(name)
+    if not _later.get():
+        register(name)
     return _without_derivative(name, result)(*arguments)
 
 

@@ -15,6 +15,7 @@ from godfit.inference.fitted import Found
 from godfit.inference.information import evidence, undetermined
 from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.problem import SEARCH_PIXELS, Problem, pixels_used
+from godfit.inference.rehearsal import rehearse
 from godfit.inference.settle import Settled, settle
 from godfit.inference.strategy import (
     Effort,
@@ -142,6 +143,9 @@ def _located(problem: Problem, given: dict[str, float], effort: Effort) -> Locat
     whole_range, problem = problem, beyond_light.up_to_light(problem, given)
     begun = starting_points(problem, given)
     candidates = [begun[0]]
+    if any_free and model.banded:
+        whole = pixels_used(problem.picture, problem.seed, effort.max_values)
+        rehearse(begun[0], problem, problem.observe(SEARCH_PIXELS), problem.picture.observe(whole))
     if any_free:
         climbed = multigrid.climb(problem.small, begun, effort.report, stages=stages(model))
         candidates = [climbed.coordinates]

@@ -54,9 +54,7 @@ def compile_fastest() -> None:
         from godfit.runtime.xla_ffi import register
         from godfit.scattering.radial.strips import STRIP_CALLS
 
-        # In the order in which a fit needs them.
-        for kind in ("points", "picture"):
-            register(STRIP_CALLS[kind, False])
+        register(STRIP_CALLS[False])
 
 
 def exact(

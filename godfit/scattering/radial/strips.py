@@ -18,26 +18,22 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from godfit.runtime import xla_ffi
 from godfit.scattering.radial.derivatives import RayParameters, geometric_sum
 from godfit.scattering.radial.pairs import pair_sums
+from godfit.scattering.radial.strip_sizes import FLAT_CELL, TILE_ROWS
 from godfit.scattering.taps import Count, Taps
 
 STRIP_CALLS = xla_ffi.declare(
     "godfit",
     {
-        (kind, double): f"godfit.scattering.radial.strips_kernel:_{kind}_{real}"
-        for kind in ("picture", "points")
+        double: f"godfit.scattering.radial.strips_kernel:_sums_{real}"
         for double, real in ((False, "single"), (True, "double"))
     },
 )
-"""Names of the compiled functions in XLA, by what they sum at and whether in double precision."""
-TILE_ROWS = 32
-"""Rows of a tile of S alone: with its strips it stays in the cache closest to the core."""
-FLAT_CELL = 8
-"""Side, in texels, of the cells of which the mask has one value or not."""
+"""Names of the compiled functions in XLA, by whether they sum in double precision."""
 MAX_STRIP_CALLS = 16
 """Most calls for one picture: XLA distributes the calls of a program over its threads only where
 there are many, and runs a program of few steps in order."""
@@ -63,34 +59,51 @@ def strip_sums(
 ) -> Float[Array, "sums points"]:
     """See ``godfit.scattering.radial.derivatives.Sums``."""
     h, w = mask.shape
-    dtype, double = mask.dtype, mask.dtype == jnp.float64
-    padded = jnp.pad(mask, ((1, 1), (1, 2)), mode="edge")
+    dtype = mask.dtype
+    padded = _padded(mask)
     packed = jnp.stack([jnp.asarray(z, dtype) for z in ray])
     sums = 4 if slopes else 1
 
-    def call(kind, shape, *arguments):
-        shaped = jax.ShapeDtypeStruct(shape, dtype)
-        ranks = "22" + ("211" if kind == "points" else "11")
-        return xla_ffi.call(
-            STRIP_CALLS[kind, double], shaped, padded, flat, *arguments, ranks=ranks
-        )
-
     use_flat = at is None or MAX_TEXELS_PER_POINT * at.shape[1] >= h * w
     flat = _flat_cells(padded) if use_flat else _no_flat_cells(padded)
+
+    def call(rows, columns, points, begin):
+        shape = jax.ShapeDtypeStruct((sums, rows, columns), dtype)
+        setup = jnp.asarray([count, begin], jnp.int32)
+        return _call(shape, padded, flat, points, packed, setup)
+
     if at is not None:
         chunks = _chunks(at.shape[1], MIN_POINTS_PER_CALL, MAX_STRIP_CALLS)
-        one = jnp.asarray([count], jnp.int32)
-        parts = [
-            call("points", (sums, 1, size), at[:, begin : begin + size], packed, one)
-            for begin, size in chunks
-        ]
+        parts = [call(1, size, at[:, begin : begin + size], 0) for begin, size in chunks]
         return jnp.concatenate(parts, -1)[:, 0]
     unit = min(TILE_ROWS, -(-h // MAX_STRIP_CALLS))
-    parts = [
-        call("picture", (sums, size, w), packed, jnp.asarray([count, begin], jnp.int32))
-        for begin, size in _chunks(h, unit, MAX_STRIP_CALLS)
-    ]
+    chunks = _chunks(h, unit, MAX_STRIP_CALLS)
+    parts = [call(size, w, jnp.zeros((2, 0), dtype), begin) for begin, size in chunks]
     return jnp.concatenate(parts, 1).reshape(sums, h * w)
+
+
+def _call(shape, *arguments):
+    name = STRIP_CALLS[shape.dtype == jnp.float64]
+    return xla_ffi.call(name, shape, *arguments, ranks="22211")
+
+
+def sums_of_rays(
+    mask: Float[Array, "h w"],
+    rays: Float[Array, "n 5"],
+    counts: Int[Array, " n"],
+    at: Float[Array, "2 points"],
+) -> Float[Array, "n points"]:
+    """S at points for each of n ``RayParameters`` with as many taps as ``counts`` says."""
+    padded = _padded(mask)
+    shape = jax.ShapeDtypeStruct((1, len(counts), at.shape[1]), mask.dtype)
+    setup = jnp.stack([counts, jnp.zeros_like(counts)], -1).reshape(-1).astype(jnp.int32)
+    # Flat cells pay only for points in a row.
+    return _call(shape, padded, _no_flat_cells(padded), at, rays.reshape(-1), setup)[0]
+
+
+def _padded(mask):
+    """The mask with a border that repeats its edge, as the compiled sums expect it."""
+    return jnp.pad(mask, ((1, 1), (1, 2)), mode="edge")
 
 
 def _cells(padded):

@@ -1,325 +1,184 @@
 """The loops of ``godfit.scattering.radial.strips``, compiled by numba, and their XLA custom calls.
 
-``mask`` is the padded mask (h + 2, w + 3), whose border repeats the edge. ``flat`` holds the values
-of its flat cells, NaN for others. ``ray`` (5,) holds the numbers of
-``godfit.scattering.radial.derivatives.RayParameters``. Sums are S, or S, S_r, G_x and G_y (see
-there).
+Arguments of a call are the padded mask (h + 2, w + 3), whose border repeats the edge; ``flat``, the
+values of its flat cells, NaN for others; ``at`` (2, points), columns and rows; the numbers of
+``godfit.scattering.radial.derivatives.RayParameters``, five for each of n rays; and, two for each,
+the number of taps and the first row. The result is (1 or 4, n, points): S, or S, S_r, G_x and G_y
+(see there). Without points, (2, 0), it is (1 or 4, rows, w): so many rows of the picture.
+
+A first command waits for numba, which compiles numbers behind pointers in half the time of arrays,
+and one function for all calls in half the time of two.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from godfit.runtime.call_frame import (
-    LINE_BYTES,
     allocate,
     answers_version_query,
-    array_at,
-    matrix,
+    argument,
+    data,
+    first_result,
+    length,
+    pointer,
     release,
-    result,
-    vector,
 )
 from godfit.runtime.numba_jit import fast_jit, inlined_jit
-from godfit.scattering.radial.strips import FLAT_CELL, TILE_ROWS
+from godfit.scattering.radial.strip_sizes import FLAT_CELL, TILE_ROWS
 
-TILE_COLUMNS = 64
+TILE_COLUMNS = 128
 """Columns of a tile: the fixed length of the inner loops, which fills the vector registers."""
 TILE_ROWS_OF_FOUR_SUMS = 12
 """Rows of a tile of all four sums: more do not stay in that cache."""
 POINT_GROUP = 32
 """Points whose sums are computed side by side: an inner loop that fills the vector registers."""
-MIN_TILE_RUN = 32
+MIN_TILE_RUN = 64
 """Fewest points in a row that are worth a tile: it has TILE_COLUMNS, however many are used."""
 NUMBER_BYTES = 8
 """Bytes of a number in the memory of a call, at most."""
 
-
-class Scratch(NamedTuple):
-    """Arrays that the tiles of a call reuse.
-
-    ``total`` (1 or 4, rows, TILE_COLUMNS) holds a tile's sums. ``level`` (2,) holds what flat taps
-    add to S and S_r of every pixel. ``strip`` and ``slope`` (mask rows, TILE_COLUMNS) hold the mask
-    rows resampled along the columns, and their slopes. ``column`` and ``row`` hold, for each column
-    and row of the tile, the index of a texel and the fraction of the way to the next. ``point``
-    (2, POINT_GROUP) holds positions, ``texel`` indices and ``part`` (2, POINT_GROUP) fractions of
-    a group of points.
-    """
-
-    total: np.ndarray
-    level: np.ndarray
-    strip: np.ndarray
-    slope: np.ndarray
-    column: tuple[np.ndarray, np.ndarray]
-    row: tuple[np.ndarray, np.ndarray]
-    point: np.ndarray
-    texel: np.ndarray
-    part: np.ndarray
+# The memory of a call, in numbers from its beginning. Of each column and row of a tile, or of each
+# point of a group: the index of a texel, and the fraction of the way to the next.
+COLUMN_TEXEL = 0
+COLUMN_PART = COLUMN_TEXEL + TILE_COLUMNS
+ROW_TEXEL = COLUMN_PART + TILE_COLUMNS
+ROW_PART = ROW_TEXEL + TILE_COLUMNS
+# Columns, rows and indices of the points of a group.
+POINT_X = ROW_PART + TILE_COLUMNS
+POINT_Y = POINT_X + POINT_GROUP
+POINT_INDEX = POINT_Y + POINT_GROUP
+# A tile's sums (1 or 4, rows, TILE_COLUMNS). The mask rows that it reads follow, resampled along
+# the columns, (mask rows, TILE_COLUMNS), and their slopes.
+TOTAL = POINT_INDEX + POINT_GROUP
+STRIPS = TOTAL + max(TILE_ROWS, 4 * TILE_ROWS_OF_FOUR_SUMS) * TILE_COLUMNS
 
 
-@fast_jit
-def _lines(count):
-    """Bytes of ``count`` numbers, a multiple of LINE_BYTES."""
-    return (NUMBER_BYTES * count + LINE_BYTES - 1) // LINE_BYTES * LINE_BYTES
-
-
-@fast_jit
-def _scratch_bytes(sums, rows, mask_rows):
-    """Bytes of ``_scratch``, and of the way to its first line."""
-    tile, strip = _lines(sums * rows * TILE_COLUMNS), _lines(mask_rows * TILE_COLUMNS)
-    ends = _lines(2) + 2 * _lines(TILE_COLUMNS) + 2 * _lines(rows)
-    return LINE_BYTES + tile + 2 * strip + ends + 5 * _lines(POINT_GROUP)
-
-
-@fast_jit
-def _scratch(address, mask, sums, rows, mask_rows):
-    """The arrays of a call, in the memory at ``address``."""
-    real = mask.dtype.type
-    total = (address + LINE_BYTES - 1) // LINE_BYTES * LINE_BYTES
-    level = total + _lines(sums * rows * TILE_COLUMNS)
-    strip = level + _lines(2)
-    slope = strip + _lines(mask_rows * TILE_COLUMNS)
-    column = slope + _lines(mask_rows * TILE_COLUMNS)
-    row = column + 2 * _lines(TILE_COLUMNS)
-    point = row + 2 * _lines(rows)
-    texel = point + 2 * _lines(POINT_GROUP)
-    part = texel + _lines(POINT_GROUP)
-    return Scratch(
-        array_at(total, real, (sums, rows, TILE_COLUMNS)),
-        array_at(level, np.float64, (2,)),
-        array_at(strip, real, (mask_rows, TILE_COLUMNS)),
-        array_at(slope, real, (mask_rows, TILE_COLUMNS)),
-        (
-            array_at(column, np.uint64, (TILE_COLUMNS,)),
-            array_at(column + _lines(TILE_COLUMNS), real, (TILE_COLUMNS,)),
-        ),
-        (array_at(row, np.uint64, (rows,)), array_at(row + _lines(rows), real, (rows,))),
-        array_at(point, np.float64, (2, POINT_GROUP)),
-        array_at(texel, np.uint64, (POINT_GROUP,)),
-        array_at(part, real, (2, POINT_GROUP)),
-    )
-
-
-@fast_jit
-def _is_finite(ray):
-    finite = True
-    for number in ray:
-        finite &= np.isfinite(number)
-    return finite
-
-
-@fast_jit
+@inlined_jit
 def _clip(position, last):
     """Positions beyond the edge are clamped into the border, which repeats it."""
     return min(max(position, -1.0), last)
 
 
 @fast_jit
-def _doubles(ray):
-    """The ray's parameters in float64, in which positions are computed."""
-    a, b, c, d, e = ray[0], ray[1], ray[2], ray[3], ray[4]
-    return float(a), float(b), float(c), float(d), float(e)
+def _tile(real, padded, size, ray, count, corner, rows, scratch):
+    """Compute the sums of ``rows`` x TILE_COLUMNS pixels from ``corner`` (column, row) on.
 
-
-@fast_jit
-def _flat_value(flat, top, bottom, left, right):
-    """The value of the mask's rows top..bottom and columns left..right; NaN if it has several."""
-    value = flat[top // FLAT_CELL, left // FLAT_CELL]
-    for i in range(top // FLAT_CELL, bottom // FLAT_CELL + 1):
-        for j in range(left // FLAT_CELL, right // FLAT_CELL + 1):
-            # A cell with several values is NaN, which equals nothing.
-            if flat[i, j] != value:
-                return np.nan
-    return value
-
-
-@fast_jit
-def _span(first, last, scale, shift, limit):
-    """First and last index in the padded mask for reads at scale * (first..last) + shift."""
-    a, b = scale * first + shift, scale * last + shift
-    low, high = _clip(min(a, b), limit), _clip(max(a, b), limit)
-    return math.floor(low) + 1, math.floor(high) + 2
-
-
-@fast_jit
-def _mask_rows(step, lag, count, size):
-    """Mask rows that a tile may need, at most the mask's ``size``: more than the tile has where
-    taps lie beyond the light."""
-    scale = max(abs(1 - (1 - lag) * step), abs(1 - (count - lag) * step))
-    return int(min(TILE_ROWS * scale + 4, size))
-
-
-@fast_jit
-def _tile(padded, ray, count, corner, rows, scratch):
-    """Compute the sums of ``rows`` x TILE_COLUMNS pixels from ``corner`` (row, column) on.
-
-    They are set in ``scratch.total``, without what flat taps add to S and S_r of every pixel, which
-    is set in ``scratch.level``. ``padded`` is (mask, flat).
+    They are set in the memory at ``scratch``, without what flat taps add to S and S_r of every
+    pixel, which is returned. ``padded`` holds the addresses of the mask and its flat cells, and
+    ``size`` the mask's rows and columns, the flat cells in a row, the number of sums and the rows
+    of the strips. Positions are computed in float64.
     """
-    (mask, flat), (top, left) = padded, corner
-    total, level, strip, slope = scratch.total, scratch.level, scratch.strip, scratch.slope
-    column, row = scratch.column, scratch.row
-    total[:] = 0
-    level[:] = 0
-    real = mask.dtype.type
-    one = np.uint64(1)
-    light_x, light_y, ratio, step, lag = _doubles(ray)
-    last_row, last_column = mask.shape[0] - 3.0, mask.shape[1] - 4.0
-    weight, before = 1.0, 0.0
+    mask, flat = pointer(padded[0], real), pointer(padded[1], real)
+    height, width, cells, sums, strip_rows = size
+    column, across = pointer(scratch, np.int32), pointer(scratch + NUMBER_BYTES * COLUMN_PART, real)
+    row = pointer(scratch + NUMBER_BYTES * ROW_TEXEL, np.int64)
+    down = pointer(scratch + NUMBER_BYTES * ROW_PART, real)
+    total = pointer(scratch + NUMBER_BYTES * TOTAL, real)
+    strip = pointer(scratch + NUMBER_BYTES * STRIPS, real)
+    slope = pointer(scratch + NUMBER_BYTES * (STRIPS + strip_rows * TILE_COLUMNS), real)
+    light_x, light_y, ratio, step, lag = ray
+    left, top = corner
+    # Positions beyond the edge are clamped into the border, which repeats it.
+    last_column, last_row = width - 4.0, height - 3.0
+    part = rows * TILE_COLUMNS
+    for x in range(sums * part):
+        total[x] = real(0)
+    level = level_r = before = 0.0
+    weight = 1.0
     for k in range(1, count + 1):
         t = (k - lag) * step
-        c, c_r = weight, (k - 1) * before
+        c, c_r, c_t = weight, (k - 1) * before, weight * (k - lag)
         before = weight
         weight *= ratio
         scale, shift_x, shift_y = 1 - t, t * light_x, t * light_y
-        first, last = _span(top, top + rows - 1, scale, shift_y, last_row)
-        a, b = _span(left, left + TILE_COLUMNS - 1, scale, shift_x, last_column)
-        value = _flat_value(flat, first, last, a, b)
-        if value == value:  # not NaN: one value
-            level[0] += c * value
-            level[1] += c_r * value
+        # First and last index in the padded mask of what the tile reads.
+        a, b = scale * left + shift_x, scale * (left + (TILE_COLUMNS - 1)) + shift_x
+        low, high = _clip(a if a < b else b, last_column), _clip(b if a < b else a, last_column)
+        begin, end = np.int64(low + 1), np.int64(high + 1) + 1
+        a, b = scale * top + shift_y, scale * (top + (rows - 1)) + shift_y
+        low, high = _clip(a if a < b else b, last_row), _clip(b if a < b else a, last_row)
+        first, last = np.int64(low + 1), np.int64(high + 1) + 1
+        # The value of these texels where they have one. A cell with several is NaN, which equals
+        # nothing.
+        value = flat[first // FLAT_CELL * cells + begin // FLAT_CELL]
+        one_value = True
+        for i in range(first // FLAT_CELL, last // FLAT_CELL + 1):
+            for j in range(begin // FLAT_CELL, end // FLAT_CELL + 1):
+                if flat[i * cells + j] != value:
+                    one_value = False
+        if one_value:
+            level += c * value
+            level_r += c_r * value
             continue
         for x in range(TILE_COLUMNS):
-            position = _clip(scale * (left + x) + shift_x, last_column)
-            whole = np.floor(position)
-            column[0][x], column[1][x] = np.uint64(whole + 1), real(position - whole)
-        for y in range(np.uint64(rows)):
-            position = _clip(scale * (top + y) + shift_y, last_row)
-            whole = np.floor(position)
-            row[0][y], row[1][y] = np.uint64(max(whole + 1 - first, 0.0)), real(position - whole)
-        begin, used = np.uint64(first), np.uint64(last - first + 1)
-        if total.shape[0] == 1:
+            a = _clip(scale * (left + x) + shift_x, last_column) + 1
+            i = np.int32(a)
+            column[x], across[x] = i, real(a - i)
+        for y in range(rows):
+            a = _clip(scale * (top + y) + shift_y, last_row) + 1
+            i = np.int64(a)
+            down[y] = real(a - i)
+            # A position that was rounded differently above lies between the same rows.
+            i = i if i > first else first
+            row[y] = ((i if i < last else last - 1) - first) * TILE_COLUMNS
+        used = last - first + 1
+        if sums == 1:
             for j in range(used):
+                texel = (first + j) * width
                 for x in range(TILE_COLUMNS):
-                    i = column[0][x]
-                    a, b = mask[begin + j, i], mask[begin + j, i + one]
-                    strip[j, x] = a + column[1][x] * (b - a)
-            for y in range(np.uint64(rows)):
-                j = row[0][y]
-                lower = real(c) * row[1][y]
-                upper = real(c) - lower
+                    i = texel + column[x]
+                    strip[j * TILE_COLUMNS + x] = mask[i] + across[x] * (mask[i + 1] - mask[i])
+            for y in range(rows):
+                lower = real(c) * down[y]
+                upper, j = real(c) - lower, row[y]
                 for x in range(TILE_COLUMNS):
-                    total[0, y, x] += upper * strip[j, x] + lower * strip[j + one, x]
+                    total[y * TILE_COLUMNS + x] += (
+                        upper * strip[j + x] + lower * strip[j + TILE_COLUMNS + x]
+                    )
             continue
         for j in range(used):
+            texel = (first + j) * width
             for x in range(TILE_COLUMNS):
-                i = column[0][x]
-                a, b = mask[begin + j, i], mask[begin + j, i + one]
-                strip[j, x] = a + column[1][x] * (b - a)
-                slope[j, x] = b - a
-        c, c_r, c_t = real(c), real(c_r), real(c * (k - lag))
-        for y in range(np.uint64(rows)):
-            j, f = row[0][y], row[1][y]
+                i = texel + column[x]
+                difference = mask[i + 1] - mask[i]
+                strip[j * TILE_COLUMNS + x] = mask[i] + across[x] * difference
+                slope[j * TILE_COLUMNS + x] = difference
+        d, d_r, d_t = real(c), real(c_r), real(c_t)
+        for y in range(rows):
+            j, f, n = row[y], down[y], y * TILE_COLUMNS
             for x in range(TILE_COLUMNS):
-                down = strip[j + one, x] - strip[j, x]
-                value = strip[j, x] + f * down
-                total[0, y, x] += c * value
-                total[1, y, x] += c_r * value
-                total[2, y, x] += c_t * (slope[j, x] + f * (slope[j + one, x] - slope[j, x]))
-                total[3, y, x] += c_t * down
+                difference = strip[j + TILE_COLUMNS + x] - strip[j + x]
+                read = strip[j + x] + f * difference
+                turned = slope[j + x] + f * (slope[j + TILE_COLUMNS + x] - slope[j + x])
+                total[n + x] += d * read
+                total[part + n + x] += d_r * read
+                total[2 * part + n + x] += d_t * turned
+                total[3 * part + n + x] += d_t * difference
+    return level, level_r
 
 
 @fast_jit
-def _picture_rows(mask, flat, ray, count, begin, out):
-    """The sums of the picture's rows from ``begin`` on, set in ``out`` (1 or 4, rows, w)."""
-    real = mask.dtype.type
-    sums, rows, width = out.shape
-    if not _is_finite(ray):
-        out[:] = np.nan
-        return
-    tile_rows = TILE_ROWS if sums == 1 else TILE_ROWS_OF_FOUR_SUMS
-    mask_rows = _mask_rows(float(ray[3]), float(ray[4]), count, mask.shape[0])
-    memory = allocate(_scratch_bytes(sums, tile_rows, mask_rows))
-    if memory == 0:
-        out[:] = np.nan
-        return
-    scratch = _scratch(memory, mask, sums, tile_rows, mask_rows)
-    for top in range(0, rows, tile_rows):
-        high = min(tile_rows, rows - top)
-        for left in range(0, width, TILE_COLUMNS):
-            _tile((mask, flat), ray, count, (float(begin + top), float(left)), high, scratch)
-            wide = min(TILE_COLUMNS, width - left)
-            for s in range(sums):
-                add = real(scratch.level[s]) if s < 2 else real(0)
-                for y in range(high):
-                    for x in range(wide):
-                        out[s, top + y, left + x] = scratch.total[s, y, x] + add
-    release(memory)
-
-
-@fast_jit
-def _run_length(at, begin):
-    """How many points from ``begin`` on, at most TILE_COLUMNS, follow each other in a row."""
-    length = 1
-    while (
-        length < min(TILE_COLUMNS, at.shape[1] - begin)
-        and at[1, begin + length] == at[1, begin]
-        and at[0, begin + length] == at[0, begin] + length
-    ):
-        length += 1
-    return length
-
-
-@fast_jit
-def point_sums(mask, flat, at, ray, count, out):
-    """The sums at columns and rows ``at`` (2, points), set in ``out`` (1 or 4, 1, points)."""
-    real = mask.dtype.type
-    sums, points = out.shape[0], out.shape[2]
-    if not _is_finite(ray):
-        out[:] = np.nan
-        return
-    tile_rows, mask_rows = np.int64(1), np.int64(2)
-    size = _scratch_bytes(sums, tile_rows, mask_rows)
-    memory = allocate(size + NUMBER_BYTES * points)
-    if memory == 0:
-        out[:] = np.nan
-        return
-    scratch = _scratch(memory, mask, sums, tile_rows, mask_rows)
-    # Points that are in no long run are summed in groups, at the end.
-    single, singles = array_at(memory + size, np.int64, (points,)), 0
-    # Both have the types that ``_picture_rows`` passes to ``_tile``, so that it is compiled once.
-    begin, height = np.int64(0), np.int64(1)
-    while begin < points:
-        run = _run_length(at, begin)
-        if run >= MIN_TILE_RUN:
-            corner = np.float64(at[1, begin]), np.float64(at[0, begin])
-            _tile((mask, flat), ray, count, corner, height, scratch)
-            for s in range(sums):
-                add = real(scratch.level[s]) if s < 2 else real(0)
-                for p in range(run):
-                    out[s, 0, begin + p] = scratch.total[s, 0, p] + add
-        else:
-            for p in range(run):
-                single[singles + p] = begin + p
-            singles += run
-        begin += run
-    total = scratch.total
-    for begin in range(0, singles, POINT_GROUP):
-        group = single[begin : min(begin + POINT_GROUP, singles)]
-        total[:] = 0
-        _add_group(mask, at, ray, count, group, scratch)
-        for s in range(sums):
-            for p in range(len(group)):
-                out[s, 0, group[p]] = total[s, 0, p]
-    release(memory)
-
-
-@fast_jit
-def _add_group(mask, at, ray, count, group, scratch):
-    """Add the sums of the points ``group`` (n,), at most POINT_GROUP, to ``scratch.total``."""
-    real, total = mask.dtype.type, scratch.total
-    texels = array_at(np.int64(mask.ctypes.data), real, (mask.size,))
-    next_row, one = np.uint64(mask.shape[1]), np.uint64(1)
-    light_x, light_y, ratio, step, lag = _doubles(ray)
-    last_row, last_column = mask.shape[0] - 3.0, mask.shape[1] - 4.0
-    x, y, texel = scratch.point[0], scratch.point[1], scratch.texel
-    across, down = scratch.part[0], scratch.part[1]
-    for p in range(POINT_GROUP):
-        point = group[min(p, len(group) - 1)]
-        x[p], y[p] = at[0, point], at[1, point]
+def _group(real, padded, size, ray, count, used, scratch, out, stride):
+    """Set the sums of ``used`` points, at most POINT_GROUP, in ``out``, where they are ``stride``
+    apart. The points' places, and their indices in ``out``, are in the memory at ``scratch``;
+    otherwise as ``_tile``."""
+    mask = pointer(padded[0], real)
+    height, width, _, sums, _ = size
+    texel, across = pointer(scratch, np.int64), pointer(scratch + NUMBER_BYTES * COLUMN_PART, real)
+    down = pointer(scratch + NUMBER_BYTES * ROW_PART, real)
+    at_x = pointer(scratch + NUMBER_BYTES * POINT_X, np.float64)
+    at_y = pointer(scratch + NUMBER_BYTES * POINT_Y, np.float64)
+    index = pointer(scratch + NUMBER_BYTES * POINT_INDEX, np.int64)
+    total = pointer(scratch + NUMBER_BYTES * TOTAL, real)
+    light_x, light_y, ratio, step, lag = ray
+    last_column, last_row = width - 4.0, height - 3.0
+    for p in range(used, POINT_GROUP):
+        at_x[p], at_y[p] = light_x, light_y
+    for p in range(sums * POINT_GROUP):
+        total[p] = real(0)
     weight, before = 1.0, 0.0
     for k in range(1, count + 1):
         t = (k - lag) * step
@@ -327,62 +186,125 @@ def _add_group(mask, at, ray, count, group, scratch):
         before = weight
         weight *= ratio
         for p in range(POINT_GROUP):
-            column = _clip(x[p] + t * (light_x - x[p]), last_column)
-            row = _clip(y[p] + t * (light_y - y[p]), last_row)
-            i, j = np.floor(column), np.floor(row)
-            texel[p] = np.uint64((j + 1) * mask.shape[1] + (i + 1))
-            across[p], down[p] = real(column - i), real(row - j)
-        if total.shape[0] == 1:
+            a = _clip(at_x[p] + t * (light_x - at_x[p]), last_column) + 1
+            b = _clip(at_y[p] + t * (light_y - at_y[p]), last_row) + 1
+            i, j = np.int32(a), np.int32(b)
+            texel[p] = np.int64(j) * width + i
+            across[p], down[p] = real(a - i), real(b - j)
+        if sums == 1:
             for p in range(POINT_GROUP):
-                n, f = texel[p], across[p]
-                upper = texels[n] + f * (texels[n + one] - texels[n])
-                n += next_row
-                lower = texels[n] + f * (texels[n + one] - texels[n])
-                total[0, 0, p] += c * (upper + down[p] * (lower - upper))
+                i, f = texel[p], across[p]
+                upper = mask[i] + f * (mask[i + 1] - mask[i])
+                i += width
+                lower = mask[i] + f * (mask[i + 1] - mask[i])
+                total[p] += c * (upper + down[p] * (lower - upper))
             continue
         for p in range(POINT_GROUP):
-            n, f = texel[p], across[p]
-            top, top_slope = texels[n], texels[n + one] - texels[n]
-            n += next_row
-            low, low_slope = texels[n], texels[n + one] - texels[n]
+            i, f = texel[p], across[p]
+            top, top_slope = mask[i], mask[i + 1] - mask[i]
+            i += width
+            low, low_slope = mask[i], mask[i + 1] - mask[i]
             upper, lower = top + f * top_slope, low + f * low_slope
             value = upper + down[p] * (lower - upper)
-            total[0, 0, p] += c * value
-            total[1, 0, p] += c_r * value
-            total[2, 0, p] += c_t * (top_slope + down[p] * (low_slope - top_slope))
-            total[3, 0, p] += c_t * (lower - upper)
+            total[p] += c * value
+            total[POINT_GROUP + p] += c_r * value
+            total[2 * POINT_GROUP + p] += c_t * (top_slope + down[p] * (low_slope - top_slope))
+            total[3 * POINT_GROUP + p] += c_t * (lower - upper)
+    for s in range(sums):
+        for p in range(used):
+            out[s * stride + index[p]] = total[s * POINT_GROUP + p]
 
 
-@inlined_jit
-def _picture(frame, real):
+@fast_jit
+def _copy_tile(real, out, at, strides, sizes, levels, scratch):
+    """Copy ``sizes`` (sums, tile rows, rows, columns) of a tile's sums to ``out`` from index ``at``
+    on, whose sums and rows are ``strides`` apart, with what flat taps add, ``levels``."""
+    total = pointer(scratch + NUMBER_BYTES * TOTAL, real)
+    sums, rows, columns = sizes
+    for s in range(sums):
+        level = real(levels[0] if s == 0 else levels[1] if s == 1 else 0.0)
+        for y in range(rows):
+            i, j = at + s * strides[0] + y * strides[1], (s * rows + y) * TILE_COLUMNS
+            for x in range(columns):
+                out[i + x] = total[j + x] + level
+
+
+@fast_jit
+def _set_sums(real, frame):
+    """Serve a call whose numbers are of the kind ``real``, as in np.float32."""
+    mask, flat, points_at = argument(frame, 0), argument(frame, 1), argument(frame, 2)
+    padded = data(mask), data(flat)
+    height, width, points = length(mask, 0), length(mask, 1), length(points_at, 1)
+    at, rays = pointer(data(points_at), real), pointer(data(argument(frame, 3)), real)
+    setup, buffer = pointer(data(argument(frame, 4)), np.int32), first_result(frame)
+    sums, rows, columns = length(buffer, 0), length(buffer, 1), length(buffer, 2)
+    out = pointer(data(buffer), real)
+    # Every call below has the same types, or numba would compile the function again.
+    real64, integer = np.float64, np.int64
+    strides = rows * columns, columns
+    for turn in range(rows if points > 0 else integer(1)):
+        n = 5 * turn
+        light_x, light_y, ratio = real64(rays[n]), real64(rays[n + 1]), real64(rays[n + 2])
+        step, lag = real64(rays[n + 3]), real64(rays[n + 4])
+        ray = light_x, light_y, ratio, step, lag
+        count, begin = integer(setup[2 * turn]), integer(setup[2 * turn + 1])
+        # Tiles need more rows of the mask than they have where taps lie beyond the light.
+        reach = TILE_ROWS * max(abs(1 - (1 - lag) * step), abs(1 - (count - lag) * step)) + 4
+        strip_rows = integer(min(reach, real64(height)))
+        # Numbers that are not finite have no place in the mask.
+        memory = integer(0)
+        if math.isfinite(light_x + light_y + ratio + step + lag):
+            memory = allocate(NUMBER_BYTES * (STRIPS + 2 * strip_rows * TILE_COLUMNS))
+        if memory == 0:
+            for n in range(sums * rows * columns):
+                out[n] = real(np.nan)
+            return
+        size = height, width, length(flat, 1), sums, strip_rows
+        if points == 0:
+            tile_rows = TILE_ROWS if sums == 1 else TILE_ROWS_OF_FOUR_SUMS
+            for top in range(integer(0), rows, tile_rows):
+                high = min(tile_rows, rows - top)
+                for left in range(integer(0), columns, TILE_COLUMNS):
+                    corner = real64(left), real64(begin + top)
+                    levels = _tile(real, padded, size, ray, count, corner, high, memory)
+                    sizes = sums, high, min(TILE_COLUMNS, columns - left)
+                    place = top * columns + left
+                    _copy_tile(real, out, place, strides, sizes, levels, memory)
+        at_x = pointer(memory + NUMBER_BYTES * POINT_X, np.float64)
+        at_y = pointer(memory + NUMBER_BYTES * POINT_Y, np.float64)
+        index = pointer(memory + NUMBER_BYTES * POINT_INDEX, np.int64)
+        place, p, used, one = turn * columns, integer(0), integer(0), integer(1)
+        while p < points:
+            # Points that follow each other in a row form a tile. Others are summed in groups.
+            x, y, run = at[p], at[points + p], integer(1)
+            most = min(TILE_COLUMNS, points - p)
+            while run < most and at[points + p + run] == y and at[p + run] == x + run:
+                run += 1
+            if run >= MIN_TILE_RUN:
+                corner = real64(x), real64(y)
+                levels = _tile(real, padded, size, ray, count, corner, one, memory)
+                _copy_tile(real, out, place + p, strides, (sums, one, run), levels, memory)
+                p += run
+                continue
+            for _ in range(run):
+                at_x[used], at_y[used] = real64(at[p]), real64(at[points + p])
+                index[used] = place + p
+                p, used = p + 1, used + 1
+                if used == POINT_GROUP:
+                    _group(real, padded, size, ray, count, used, memory, out, strides[0])
+                    used = integer(0)
+        if used:
+            _group(real, padded, size, ray, count, used, memory, out, strides[0])
+        release(memory)
+
+
+def _sums_single(frame):
     if not answers_version_query(frame):
-        mask, flat = matrix(frame, 0, real), matrix(frame, 1, real)
-        ray, count_begin = vector(frame, 2, real), vector(frame, 3, np.int32)
-        _picture_rows(mask, flat, ray, count_begin[0], count_begin[1], result(frame, real))
+        _set_sums(np.float32, frame)
     return 0
 
 
-@inlined_jit
-def _points(frame, real):
+def _sums_double(frame):
     if not answers_version_query(frame):
-        mask, flat = matrix(frame, 0, real), matrix(frame, 1, real)
-        at, ray = matrix(frame, 2, real), vector(frame, 3, real)
-        count = vector(frame, 4, np.int32)[0]
-        point_sums(mask, flat, at, ray, count, result(frame, real))
+        _set_sums(np.float64, frame)
     return 0
-
-
-def _picture_single(frame):
-    return _picture(frame, np.float32)
-
-
-def _picture_double(frame):
-    return _picture(frame, np.float64)
-
-
-def _points_single(frame):
-    return _points(frame, np.float32)
-
-
-def _points_double(frame):
-    return _points(frame, np.float64)
