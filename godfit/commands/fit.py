@@ -137,15 +137,16 @@ def fit(
     for name in study.options["free"] if "scene" not in study.options else ():
         raise click.UsageError(f"--free {name}: expected --scene SCENE.toml with it, got a mask")
     with working(run) as progress:
+        file = study.options.get("scene")
+        find_shader(study.options)
+        # Before the imports, while which compiled programs are loaded.
+        prepare(study.options, run, progress, study.image.values.shape)
         from godfit.fitting import fit
         from godfit.studies.posterior import require
 
         if posterior:
             require()
         imported = time.perf_counter() - STARTED
-        file = study.options.get("scene")
-        find_shader(study.options)
-        prepare(study.options, run, progress, study.image.values.shape)
         result = fit(
             study.image, valid=study.valid, seed=run.seed, progress=progress, **study.options
         )

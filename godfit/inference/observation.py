@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from godfit.io.filters import blurred, blurred_at, over_channels, shrink
+from godfit.io.filters import blurred, blurred_at, over_channels, shrink, smoothed
 from godfit.io.image import LEVELS, Image, encode
 from godfit.models.base import AbstractModel
 from godfit.runtime.device import on_device
@@ -410,11 +410,9 @@ class Picture:
         small = self.shrunk(-(-max(self.size) // SLOPES_SIZE))
         if min(small.size) < 2:
             return np.zeros(small.size, np.float32)
-        from scipy import ndimage
-
         # Differences over a few pixels resolve slopes that single levels hide.
         bright = np.minimum(small.levels.mean(-1), min(LEVELS, small.ends[1]) - 1)
-        down, along = np.gradient(ndimage.gaussian_filter(bright, 1.0))
+        down, along = np.gradient(smoothed(bright, 1.0))
         return np.where(over_channels(np.logical_and, small.above), 0, np.hypot(down, along))
 
 

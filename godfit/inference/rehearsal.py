@@ -33,7 +33,7 @@ def _rehearse(start: np.ndarray, problem: Problem, observations: tuple[Observati
             tangent = _made_up(start, problem, observation)
             _, likelihood = best_sigma(tangent.prediction, observation)
             # Rounding alone is the noise of most targets.
-            settled = Settled(start, SIGMAS[0], likelihood, False)
+            settled = Settled(start, float(SIGMAS[0]), likelihood, False)
             aim(settled, tangent, problem, observation)
             evidence(settled, tangent, observation)
     except Exception:

@@ -88,7 +88,7 @@ class _Scan:
         rays = np.column_stack([place, ratios, steps, np.zeros(len(tried))]).astype(np.float32)
         counts = np.array([taps.samples - self.drop for taps in tried], np.int32)
         # The mask at the points is the sum over one tap of weight 1 at no distance.
-        own_ray = np.float32([[*place[0], 1, 0, 0]])
+        own_ray = np.array([[*place[0], 1, 0, 0]], np.float32)
         own = self._sums(own_ray, np.ones(1, np.int32))[0] * self.shows_own
 
         def squares(begin: int) -> np.ndarray:

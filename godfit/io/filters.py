@@ -7,6 +7,9 @@ import math
 
 import numpy as np
 
+GAUSSIAN_REACH = 4.0
+"""Standard deviations at which a Gaussian is cut off: beyond, it is below 1e-4 of its top."""
+
 
 def shrink(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """(h, w, ...) averaged over cells onto at most ``size`` rows and columns; float32."""
@@ -61,6 +64,21 @@ def blurred(image: np.ndarray, sigma: float) -> np.ndarray:
             image = ndimage.uniform_filter1d(image, width, mode="nearest")
         image = np.ascontiguousarray(image.T)
     return image[width - 1 : 1 - width or None, width - 1 : 1 - width or None]
+
+
+def smoothed(image: np.ndarray, sigma: float) -> np.ndarray:
+    """(h, w) convolved with a Gaussian of ``sigma`` pixels, mirrored at the edge: what
+    ``scipy.ndimage.gaussian_filter`` computes, whose import takes a tenth of a short command."""
+    reach = round(GAUSSIAN_REACH * sigma)
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    weights /= weights.sum()
+    for axis in (0, 1):
+        ends = [(reach, reach) if i == axis else (0, 0) for i in (0, 1)]
+        lines = np.moveaxis(np.pad(image, ends, mode="symmetric"), axis, 0)
+        length = image.shape[axis]
+        total = sum(w * lines[k : k + length] for k, w in enumerate(weights))
+        image = np.moveaxis(np.asarray(total), 0, axis)
+    return image
 
 
 def blurred_at(image: np.ndarray, sigma: float, pixels: np.ndarray) -> np.ndarray:

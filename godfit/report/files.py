@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from godfit.errors import InputError
-from godfit.report.sheet import DPI
+from godfit.report.sheet import DPI, SMALL_ENOUGH
 from godfit.report.style import own_style
 from godfit.runtime.files import atomic_write
 from godfit.runtime.parallel import parallel_map
@@ -60,7 +60,7 @@ def write_result(
     def draw(path: Path) -> None:
         drawn = io.BytesIO()
         with own_style():
-            figure[1]().savefig(drawn, format="png", dpi=DPI)
+            figure[1]().savefig(drawn, format="png", dpi=DPI, pil_kwargs=SMALL_ENOUGH)
         atomic_write(path, drawn.getvalue())
 
     def failure(item: tuple[str, Callable[[Path], None]]) -> PictureNotWritten | None:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 DPI = 100
 """Pixels an inch of a figure."""
+SMALL_ENOUGH = {"compress_level": 3}
+"""How a figure is compressed: a tenth more bytes than at zlib's usual level 6, in half the time."""
 WIDEST = 13.0
 """Width of a sheet in inches, at most: that of a screen."""
 TALLEST = 8.0

@@ -14,23 +14,19 @@ A damaged file is removed, and numba's own store serves until the sources change
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import hashlib
 import importlib
 import json
-import os
 import platform
-import subprocess
-import sys
-import threading
+from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from godfit.runtime.cache import version_folder
 from godfit.runtime.checked_files import discard, read_checked, write_checked
-from godfit.runtime.parallel import cores
+from godfit.runtime.companion import Companion
 
 LIBRARY = {"free", "malloc", "memcpy", "memmove", "memset"}
 """Functions of the C library that stored code may call."""
@@ -70,8 +66,8 @@ def _folder() -> Path | None:
 
 
 def load_code(name: str) -> int | None:
-    """The address of the custom call ``name`` in this process: what an earlier run has stored, or
-    what a process of ``compile_ahead`` has compiled. None where neither is, or it refers to what is
+    """The address of the custom call ``name`` in this process: of what an earlier run has stored,
+    or a companion of ``compile_ahead`` has compiled. None where neither is, or it refers to what is
     not there."""
     folder = _folder()
     content = None if folder is None else read_checked(folder / name)
@@ -80,7 +76,7 @@ def load_code(name: str) -> int | None:
         if address is None:
             discard(folder / name)
         return address
-    content = _from_process(name)
+    content = _from_companion(name)
     address = None if content is None else _linked(content)
     if content is not None and address is not None and folder is not None:
         write_checked(folder / name, content)
@@ -129,7 +125,7 @@ def _compiled(place: str) -> Any:
     from numba import cfunc
 
     from godfit.runtime.call_frame import FRAME_SIGNATURE
-    from godfit.runtime.numba_cache import store_compiled
+    from godfit.runtime.numba_jit import store_compiled
 
     module, _, own_name = place.partition(":")
     function = getattr(importlib.import_module(module), own_name)
@@ -164,49 +160,28 @@ def _content(function: Any) -> bytes | None:
 
 
 def compile_ahead(name: str, place: str) -> None:
-    """Compile the custom call ``name`` at ``place`` in a process of its own, for ``load_code``,
-    where no earlier run has stored it.
-
-    numba works under the interpreter's lock: on a thread, both it and the command would take half
-    as long again. The process ends with this one, whose end closes its input.
-    """
+    """Compile the custom call ``name`` at ``place`` in a companion process, for ``load_code``,
+    where no earlier run has stored it."""
     folder = _folder()
-    if folder is None or (folder / name).exists() or name in _processes or cores() < 2:
+    if folder is None or (folder / name).exists() or name in _companions:
         return
-    # A short process makes no garbage worth looking for: that takes a tenth of its time.
-    program = f"import gc; gc.disable(); from {__name__} import _serve; _serve({place!r})"
-    with contextlib.suppress(OSError):
-        _processes[name] = subprocess.Popen(
-            [sys.executable, "-P", "-c", program],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+    # numba works under the interpreter's lock: on a thread, both it and the command would take half
+    # as long again.
+    companion = Companion.start(f"{__name__}:_content_for")
+    if companion is not None:
+        _companions[name] = companion
+        companion.send(place.encode())
 
 
-_processes: dict[str, subprocess.Popen[bytes]] = {}
+_companions: dict[str, Companion] = {}
 
 
-def _from_process(name: str) -> bytes | None:
-    """What a process of ``compile_ahead`` has compiled, once it has; None where it failed."""
-    process = _processes.pop(name, None)
-    if process is None:
-        return None
-    assert process.stdin is not None
-    assert process.stdout is not None
-    # Its input stays open until it is done.
-    with process.stdin, process.stdout:
-        content = process.stdout.read()
-    return content if process.wait() == 0 and content else None
+def _from_companion(name: str) -> bytes | None:
+    """What a companion process has compiled, once it has; None where there is none or it failed."""
+    companion = _companions.pop(name, None)
+    return None if companion is None else companion.answer() or None
 
 
-def _serve(place: str) -> None:
-    """Compile the function at ``place`` and write what ``_content`` returns to the output."""
-    threading.Thread(target=_end_with_input, daemon=True).start()
-    content = _content(_compiled(place))
-    sys.stdout.buffer.write(content or b"")
-    sys.stdout.buffer.flush()
-    os._exit(0)
-
-
-def _end_with_input() -> None:
-    sys.stdin.buffer.read()
-    os._exit(1)
+def _content_for(request: Callable[[], bytes]) -> bytes:
+    """What the companion does: it compiles the function at the place that it is asked for."""
+    return _content(_compiled(request().decode())) or b""

@@ -1,4 +1,4 @@
-"""A core of its own for a process.
+"""The cores of a process, and one of its own.
 
 XLA makes as many threads as the process has cores when JAX is imported, and affinity is the only
 limit that it obeys. The number of threads changes the order of some sums, and so the last digits of
@@ -11,6 +11,12 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
+
+
+def cores() -> int:
+    """Number of cores that this process may use."""
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
 class OneCore:

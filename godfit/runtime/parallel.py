@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 import numpy as np
 
+from godfit.runtime.guest import own_settings
+from godfit.runtime.one_core import cores
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-
-
-def cores() -> int:
-    """Number of cores that this process may use."""
-    affinity = getattr(os, "sched_getaffinity", None)
-    return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
 def parallel_map(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
@@ -42,9 +38,6 @@ def map_halves(
 def parallel_imap(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
     """As ``parallel_map``, but yields each result when it is ready, while the threads compute the
     later ones."""
-
-    # With JAX, which those who only count the cores do without.
-    from godfit.runtime.guest import own_settings
 
     def in_single_precision(item: Item) -> Result:
         # Settings belong to a thread, so a new thread does not have the caller's.

@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from godfit.runtime.one_core import cores
 from godfit.scattering.radial.exact import EXACT
 
 PROGRAM = """
@@ -22,15 +23,28 @@ print(bool(np.allclose(fast, slow, atol=1e-6)), "numba" in sys.modules, len(mach
 """
 
 
-def run(cache) -> list[str]:
+AHEAD = """
+from godfit.commands.study import SUM
+from godfit.runtime.machine_code import compile_ahead
+compile_ahead(*SUM)
+"""
+
+
+def run(cache, program=PROGRAM) -> list[str]:
     ran = subprocess.run(
-        [sys.executable, "-c", PROGRAM],
+        [sys.executable, "-c", program],
         capture_output=True,
         text=True,
         env=os.environ | {"GODFIT_CACHE": str(cache)},
     )
     assert ran.returncode == 0, ran.stderr
     return ran.stdout.split()
+
+
+@pytest.mark.skipif("strips" not in EXACT or cores() < 2, reason="no numba, or no core for it")
+def test_a_companion_compiles_what_a_command_will_call(tmp_path):
+    assert run(tmp_path / "cache", AHEAD + PROGRAM) == ["True", "False", "1"]
+    assert len([*(tmp_path / "cache").glob("machine-*/*")]) == 1
 
 
 @pytest.mark.skipif("strips" not in EXACT, reason="numba is not installed")
