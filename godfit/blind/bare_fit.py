@@ -92,6 +92,7 @@ SEVERAL = "one light of {} is estimated without a mask"
 STOPPED = "interrupted: the best answer so far"
 HYPOTHESIS = {
     "bright": "the mask is what is bright in the picture, within a radius of the light",
+    "sky": "the mask is all that is bright in the picture, the brighter the more",
     "colour": "the mask is a disc on a veil, open where the picture has its ground's colour",
     "darkness": "the mask is a disc on a veil, open where the picture is not dark",
 }
@@ -213,9 +214,8 @@ def _panels(picture: Picture, shading: Mitchell) -> list[tuple[int, int, int, in
 
 
 def _tried(copy: Reduced, occluded: np.ndarray, settings: Settings) -> list[Hypothesis]:
-    makers = [hypotheses.bright]
-    if not settings.bright_pass:
-        makers += [hypotheses.colour, hypotheses.darkness]
+    others = [hypotheses.colour, hypotheses.darkness]
+    makers = [hypotheses.bright, *([hypotheses.sky] if settings.bright_pass else others)]
     made = [maker(copy, occluded) for maker in makers]
     kept = [h for h in made if h is not None and np.count_nonzero(h.usable) >= LEAST_PIXELS]
     if not kept:

@@ -63,6 +63,8 @@ def certainty(candidate: Candidate, near: tuple[float, float] | None, seed: int)
     lower, upper = between
     margin = 0.01 * (upper - lower)
     end = (candidate.point - lower < margin) | (upper - candidate.point < margin)
+    # A radius that no map has is no number.
+    end[4] &= bool(candidate.hypothesis.windowed.any())
     # Without attenuation is a setting that shaders ship, and no end of what was searched.
     return Certainty(
         covariance, apart, bool(end[[0, 1, 3, 4]].any() or (end[2] and candidate.kappa))

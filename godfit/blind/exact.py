@@ -117,6 +117,9 @@ def open_mask(candidate: Candidate, posed: Posed) -> tuple[np.ndarray, np.ndarra
         return open_.astype(np.float32), picture.valid & ~clipped & ~grown(open_ > 0)
     if name == "colour":
         open_ = ground_colour(values, picture.valid, clipped)
+    elif name == "sky":
+        open_ = (values.mean(-1) > dark_threshold(copy.values.mean(-1)[copy.valid])) | clipped
+        return open_.astype(np.float32), picture.valid & ~clipped & ~grown(open_)
     else:
         threshold = dark_threshold(copy.values.mean(-1)[copy.usable])
         open_ = (values.mean(-1) > threshold) | clipped
@@ -135,7 +138,8 @@ def solved_exactly(
         known = picture.valid
     unit = SCREENED_UNIT if shading.convention.blend == "screen" else 1.0
     texture = drawn(candidate.hypothesis, FINE_PAIRS, seed).spread * LEVELS * unit
-    calm = posed.own and candidate.hypothesis.name != "bright" and texture < CALM
+    veiled = candidate.hypothesis.name in ("colour", "darkness")
+    calm = posed.own and veiled and texture < CALM
     mask = shrink_mask(open_, posed.given.pass_scale or 1.0)
     picture = dataclasses.replace(picture, mask=mask, valid=known)
     degree = 0 if calm else 2
@@ -222,6 +226,9 @@ def _start(
         held[EXPOSURE] = given.get("exposure", default)
     if hypothesis.name == "bright":
         held[VEIL] = 0.0
+    if hypothesis.name == "sky":
+        # A veil without a disc.
+        held[GAIN], z[VEIL] = 0.0, gains.sum()
     z = np.where(np.isnan(held), z, held).astype(np.float32)
     lower, upper = (np.asarray(end, np.float32) for end in model.bounds())
     return np.clip(z, lower, upper), held

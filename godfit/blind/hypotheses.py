@@ -2,6 +2,8 @@
 
 - *bright*: what is bright in the picture, within a radius of the light. Right wherever the light is
   in sight, whatever the background.
+- *sky*: a monotone function of the brightness, wherever it is. Right for photographs, whose rays
+  are those of all that is bright.
 - *colour*: a disc on a veil, open where the picture has the colour of its background, or is
   clipped. White light adds the same to every channel, so that an open pixel keeps the differences
   between the channels. Right for objects on a ground of one colour.
@@ -37,6 +39,8 @@ DARK_CENTRES = (0.05, 0.95)
 """Quantiles of the brightness at which the centres of dark and light pixels start."""
 CENTRE_ROUNDS = 30
 """Rounds of the two centres: they stand still after about ten."""
+SKY_STEPS = 4
+"""Steps of a sky's brightness: a threshold between two of them is their mixture."""
 LEAST_SHARE = 0.03
 """Share of the picture that is open and usable, at least, for a hypothesis to be tried."""
 
@@ -66,6 +70,26 @@ def bright(copy: Reduced, occluded: np.ndarray) -> Hypothesis:
     return Hypothesis(
         "bright", _maps(passed), np.array([1]), values, usable, np.zeros_like(usable),
         copy.values.min(-1), (), passed,
+    )  # fmt: skip
+
+
+def sky(copy: Reduced, occluded: np.ndarray) -> Hypothesis | None:
+    """A sum of steps of the brightness, between what is dark and what is brightest; only what is
+    dark is data. None where there is too little of either."""
+    if not copy.usable.any():
+        return None
+    mean = copy.values.mean(-1)
+    dark = dark_threshold(mean[copy.valid])
+    lit = (mean > dark) & copy.valid & ~occluded
+    if min(lit.mean(), (copy.usable & ~lit).mean()) < LEAST_SHARE:
+        return None
+    steps = np.quantile(mean[lit], np.arange(SKY_STEPS) / SKY_STEPS)
+    maps = [(lit & (mean >= step)).astype(np.float64) for step in steps]
+    usable = copy.usable & ~grown(lit)
+    values = copy.values @ calmest_channel(copy.values, usable)
+    return Hypothesis(
+        "sky", _maps(*maps), np.zeros(SKY_STEPS, int), values, usable, np.zeros_like(usable),
+        copy.values.min(-1), (), maps[0],
     )  # fmt: skip
 
 

@@ -288,6 +288,11 @@ def misfit(prediction: np.ndarray, observation: Observation) -> Misfit:
     inside = np.isfinite(lo) & np.isfinite(hi)
     residual = (np.where(inside, lo, 0) + np.where(inside, hi, 0)) / 2
     residual = np.where(inside, np.asarray(prediction) - residual, 0.0)
+    if observation.own_noise is not None and not observation.foreign:
+        # What is known to differ from value to value is no sign of a misfit.
+        rounding = np.where(inside, hi - lo, 0.0) / math.sqrt(12)
+        noise = np.hypot(np.asarray(observation.own_noise), rounding)
+        residual = residual / np.maximum(noise, LEAST_SPREAD)
     if observation.foreign:
         # Foreign pixels may have any level: they are no sample of the noise.
         spread = 1.4826 * float(np.median(np.abs(residual[inside]))) if inside.any() else 0.0

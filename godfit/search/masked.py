@@ -15,7 +15,6 @@ from godfit.inference.fitted import Found
 from godfit.inference.information import evidence, undetermined
 from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.problem import SEARCH_PIXELS, Problem, pixels_used
-from godfit.inference.rehearsal import rehearse
 from godfit.inference.settle import Settled, settle
 from godfit.inference.strategy import (
     Effort,
@@ -31,6 +30,7 @@ from godfit.models.mitchell import Mitchell
 from godfit.models.tinted import Tinted
 from godfit.scattering.radial.exact import at_run_time
 from godfit.search import beyond_light, conventions, density_minima, multigrid, multistart, scatter
+from godfit.search.rehearsal import rehearse
 
 RETRIED = 3
 """Starts from which a doubtful fit is tried once more, each alone."""
@@ -102,9 +102,7 @@ def search_mask(problem: Problem, given: dict[str, float], effort: Effort) -> Fo
         else:
             found = _doubted(located, given, effort)
     unexplained = found.inquire and found.remedy is None and problem.free.any()
-    cause = scatter.scattered(found) if unexplained else None
-    if cause is not None:
-        found = found.replaced(remarks=(*found.remarks, Remark(cause.words, cause.name)))
+    found = scatter.explained(found) if unexplained else found
     found = hold_open(found, given)
     found = indirect_inference.corrected(found) if found.inquire else found
     return with_mask_shifts(found)
@@ -177,6 +175,9 @@ def _doubted(located: Located, given: dict[str, float], effort: Effort) -> Found
     found, begun = located
     if not multistart.doubtful(found):
         return found
+    jittered = scatter.allowing_for_jitter(found)
+    if jittered is not None and not multistart.doubtful(jittered):
+        return jittered.replaced(inquire=False)
     whole_range = found.problem.replaced(most={})
     farther = beyond_light.searched_anew(
         whole_range, found.settled.coordinates, given, effort.report

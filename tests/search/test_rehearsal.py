@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from godfit import Mitchell
-from godfit.inference import rehearsal
 from godfit.inference.information import evidence
 from godfit.inference.observation import Picture
 from godfit.inference.problem import Problem
 from godfit.inference.settle import settle
 from godfit.runtime import program_cache
 from godfit.runtime.cache import CACHE_VARIABLE
+from godfit.search import rehearsal
 
 
 @pytest.fixture

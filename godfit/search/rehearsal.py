@@ -6,6 +6,7 @@ taken without them. The programs that work on a tangent need none, and their sha
 
 from __future__ import annotations
 
+import contextlib
 import threading
 
 import numpy as np
@@ -16,6 +17,8 @@ from godfit.inference.observation import Observation
 from godfit.inference.problem import Problem
 from godfit.inference.settle import Settled, aim
 from godfit.inference.solver import Tangent
+from godfit.runtime.compile_time import beside_others
+from godfit.runtime.guest import own_settings
 from godfit.runtime.program_cache import must_compile
 
 
@@ -28,7 +31,8 @@ def rehearse(start: np.ndarray, problem: Problem, *observations: Observation) ->
 
 
 def _rehearse(start: np.ndarray, problem: Problem, observations: tuple[Observation, ...]) -> None:
-    try:
+    # What fails here fails where it is needed, and is reported there.
+    with contextlib.suppress(Exception), beside_others(), own_settings():
         for observation in observations:
             tangent = _made_up(start, problem, observation)
             _, likelihood = best_sigma(tangent.prediction, observation)
@@ -36,9 +40,6 @@ def _rehearse(start: np.ndarray, problem: Problem, observations: tuple[Observati
             settled = Settled(start, float(SIGMAS[0]), likelihood, False)
             aim(settled, tangent, problem, observation)
             evidence(settled, tangent, observation)
-    except Exception:
-        # What fails here fails where it is needed, and is reported there.
-        return
 
 
 def _made_up(start: np.ndarray, problem: Problem, observation: Observation) -> Tangent:
