@@ -48,6 +48,10 @@ two simulated pictures: the target is then one of these."""
 MAX_NOISE_RATIO = 2.0
 """Difference of a corrected picture from the target over the noise found without correction, at
 most: a wrong model may lead to odd pictures, of which any two are similar."""
+JITTER_PLACES = 16
+"""Parts of the range of a jitter between whose ends sums are read linearly."""
+SAME_SCATTER = 1.1
+"""The same as SAME_PICTURE where the process is random: two pictures of one point then differ."""
 TIE_LEVELS = 1e-3
 """Levels within which a value in the middle of two levels may be rounded up or down."""
 Process = Callable[[AbstractModel, np.random.Generator], np.ndarray]
@@ -57,7 +61,11 @@ known are drawn."""
 
 def process_of(picture: Picture, model: AbstractModel, sigma: float) -> Process | None:
     """The target's processing, where it is known and causes more error than rounding."""
-    if not np.isclose(picture.half, HALF_LEVEL) or sigma <= EXPLAINED:
+    if not np.isclose(picture.half, HALF_LEVEL):
+        return None
+    if isinstance(model, Mitchell) and model.jitter is not None:
+        return lambda at, rng: jittered_bytes(picture, at, rng)
+    if sigma <= EXPLAINED:
         return None
     if was_jpeg(picture.levels[..., 0]):
         settings = settings_of(picture.levels) if sigma > WITHIN_ROUNDING else None
@@ -91,6 +99,24 @@ def enlarged_bytes(picture: Picture, model: AbstractModel, rng: np.random.Genera
     return np.floor(levels + 0.5 + np.where(up, TIE_LEVELS, -TIE_LEVELS)).astype(np.float32)
 
 
+def jittered_bytes(picture: Picture, model: AbstractModel, rng: np.random.Generator) -> np.ndarray:
+    """(h, w, c) levels, rounded, of a picture whose taps are moved by a random share of a step,
+    another for each pixel. Sums in between are read from those at JITTER_PLACES + 1."""
+    assert isinstance(model, Mitchell)
+    assert model.jitter is not None
+    h, w = picture.size
+    half = 3**0.5 * float(model.jitter)
+    row, column = np.mgrid[:h, :w]
+    at = jnp.asarray(np.stack([column.ravel(), row.ravel()], -1).astype(np.float32))
+    mask = picture.mask if picture.mask.ndim == 2 else picture.mask[..., 0]
+    sums = model.moved_sums(mask, list(np.linspace(-half, half, JITTER_PLACES + 1)), at)
+    place = rng.uniform(0, JITTER_PLACES, h * w)
+    first = place.astype(int)
+    low, high = (np.take_along_axis(sums, i[None], 0)[0] for i in (first, first + 1))
+    levels = LEVELS * np.clip(low + (place - first) * (high - low), 0, 1)
+    return np.floor(levels + 0.5).reshape(h, w, 1).astype(np.float32)
+
+
 def corrected(found: Found) -> Found:
     """The fit with the bias of the target's processing subtracted, and with the scatter that the
     processing causes. The fit is returned as it was where the processing is not known, or where the
@@ -114,6 +140,8 @@ def corrected(found: Found) -> Found:
     off = _processed_at(found, z, process, np.random.default_rng(1)) - picture.levels
     rms = np.sqrt(np.mean(off[picture.valid] ** 2))
     same = rms <= SAME_PICTURE * max(apart, 2 * WITHIN_ROUNDING)
+    if isinstance(problem.model, Mitchell) and problem.model.jitter is not None:
+        same, rms = rms <= SAME_SCATTER * apart, 0.0
     # Under a wrong model corrections may lead to pictures so odd that any two are similar.
     if not same or rms > MAX_NOISE_RATIO * max(settled.sigma, HALF_LEVEL):
         return found
@@ -157,11 +185,12 @@ def _simulated(
     if len(rows) > SIMULATED_VALUES:
         rows = np.sort(rng.choice(len(rows), SIMULATED_VALUES, replace=False))
     tangent = tangent.only(rows)
+    own = None if observation.own_noise is None else np.asarray(observation.own_noise)[rows]
     centre = z.astype(np.float32)
     away = min(SIMULATED_STEP, SIMULATED_STEP_PIXELS / max(problem.picture.size))
 
     def estimate(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
-        intervals = Intervals(lo, hi, observation.foreign)
+        intervals = Intervals(lo, hi, observation.foreign, own)
         return solve_tangent(centre, problem, tangent, intervals, found.settled.sigma).coordinates
 
     for draw in range(SIMULATED_PICTURES):

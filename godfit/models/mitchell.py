@@ -41,6 +41,10 @@ DENSITY_TOLERANCE = 1e-9
 AT_SLIDER_END = 1e-3
 """Distance of a density from the end of a slider within which it is that end: a tenth of the step
 of the published ones."""
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(9)
+UNIFORM = tuple(math.sqrt(3) * _NODES), tuple(_WEIGHTS / 2)
+"""Places, in standard deviations, and weights (Gauss and Legendre's) whose mean is that over a
+uniform distribution, of bilinear reads some texels apart to a hundredth of a level."""
 EDGE, BLACK = "edge", "black"
 """What a shader's reads beyond the mask's edge return: the nearest pixel, or black."""
 TINY_DECAY = 1e-12
@@ -56,7 +60,9 @@ class Mitchell(AbstractModel):
     in texture coordinates. Several lights are a sum over lights. ``samples`` is an integer and is
     not differentiated. With ``full_size`` the light pass has the image's size where the mask is
     smaller, and reads the mask between its texels. ``border`` is what the taps read beyond the
-    mask's edge: ``"edge"``, the nearest pixel, or ``"black"``.
+    mask's edge: ``"edge"``, the nearest pixel, or ``"black"``. ``jitter`` is the standard deviation
+    in steps by which the taps of a pixel lie elsewhere, all by the same random share: the image is
+    then the mean over that.
 
     Fit coordinates (one for each parameter, in order): exposure; kappa = -samples ln(decay) /
     density, the attenuation for each unit of ray; density; gain = exposure weight samples /
@@ -83,10 +89,11 @@ class Mitchell(AbstractModel):
     samples: Count = 100
     full_size: bool = eqx.field(static=True, default=False)
     border: str = eqx.field(static=True, default=EDGE)
+    jitter: Float[Array, ""] | None = None
 
     def __init__(
         self, exposure, decay, density, weight, light, shader="mitchell", samples=None,
-        full_size: Any = False, border: Any = EDGE,
+        full_size: Any = False, border: Any = EDGE, jitter: Any = None,
     ):  # fmt: skip
         self.exposure, self.decay = on_device(exposure, float), on_device(decay, float)
         self.density, self.weight = on_device(density, float), on_device(weight, float)
@@ -97,6 +104,7 @@ class Mitchell(AbstractModel):
         # The loops of sums that are no sequence of taps need a known number.
         self.samples = count if own.passes else at_run_time(count)
         self.full_size, self.border = full_size, border
+        self.jitter = None if jitter is None else on_device(jitter, float)
 
     @property
     def convention(self) -> Convention:
@@ -220,6 +228,19 @@ class Mitchell(AbstractModel):
             total += self._scattered(read, light, at, method)
         return jnp.asarray(total)
 
+    def moved_sums(
+        self, mask: Any, lags: Sequence[float], at: Float[Array, "n 2"]
+    ) -> Float[np.ndarray, "lags n"]:
+        """The scattering pass of a shader with one set of taps at columns and rows ``at``, with all
+        taps moved towards the pixel by each of ``lags``, in steps."""
+        (taps,) = self.taps
+        levels = np.zeros((len(lags), len(at)))
+        for light in self.light:
+            for i, lag in enumerate(lags):
+                moved = eqx.tree_at(lambda t: t.lag, taps, lag)
+                levels[i] += np.asarray(radial_sum(mask, light, moved, at=at))
+        return levels
+
     def _scattered(self, read, light, at, method):
         """The light pass of one ``light``, of what it ``read``s."""
         shader = self.convention
@@ -232,7 +253,7 @@ class Mitchell(AbstractModel):
             passes, image = self.taps, 1 - read if shader.box else read
             for taps in passes[:-1]:
                 image = self._summed(image, light, taps, None, method)
-            image = self._summed(image, light, passes[-1], at, method)
+            image = self._mean_sum(image, light, passes[-1], at, method)
         if shader.power != 1:
             # The sum has the exposure already, which is no part of what is raised.
             exposure = shader.gain * self.exposure
@@ -242,6 +263,16 @@ class Mitchell(AbstractModel):
         # What is blended towards a light pass has its exposure there.
         scaled = shader.composed and shader.blend != "towards"
         return self.exposure * image if scaled else image
+
+    def _mean_sum(self, image, light, taps, at, method):
+        """The radial sum of ``image``, or its mean over the jitter."""
+        if self.jitter is None:
+            return self._summed(image, light, taps, at, method)
+        mean = 0.0
+        for place, weight in zip(*UNIFORM, strict=True):
+            moved = dataclasses.replace(taps, lag=taps.lag + place * self.jitter)
+            mean += weight * self._summed(image, light, moved, at, method)
+        return mean
 
     def _summed(
         self,

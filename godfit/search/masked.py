@@ -177,7 +177,7 @@ def _doubted(located: Located, given: dict[str, float], effort: Effort) -> Found
         return found
     jittered = scatter.allowing_for_jitter(found)
     if jittered is not None and not multistart.doubtful(jittered):
-        return jittered.replaced(inquire=False)
+        return jittered
     whole_range = found.problem.replaced(most={})
     farther = beyond_light.searched_anew(
         whole_range, found.settled.coordinates, given, effort.report

@@ -7,9 +7,9 @@ moment is less than that of noise.
 
 from __future__ import annotations
 
+import dataclasses
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,20 +17,23 @@ from godfit.errors import Remark
 from godfit.inference.diagnostics import Suspect
 from godfit.inference.fitted import Found
 from godfit.inference.information import MAX_CORRELATION, evidence, misfit
-from godfit.inference.noise import WITHIN_ROUNDING
+from godfit.inference.noise import SIGMAS, WITHIN_ROUNDING
 from godfit.inference.observation import Picture
 from godfit.inference.settle import settle
 from godfit.io.image import LEVELS
 from godfit.io.jpeg import was_jpeg
-from godfit.models.mitchell import Mitchell
-from godfit.scattering.radial import radial_sum
+from godfit.models.mitchell import UNIFORM, Mitchell
 
 SCATTER_PIXELS = 1 << 12
 """Pixels that are compared, at most."""
 JITTERS = (0.05, 0.1, 0.15, 0.2, 0.29, 0.4, 0.6)
 """Standard deviations of the jitter that are tried, in steps: 0.29 is that of a whole step."""
+WHOLE_STEP = 12**-0.5
+"""Standard deviation of a jitter over a whole step."""
 FLOOR_LEVELS = 12**-0.5
 """Standard deviation of a rounding, in levels: no residual has less."""
+JITTER_ROUNDS = 2
+"""Rounds of numbers and jitter in turn: the first residual has bands, which jitter takes away."""
 JITTER_GAIN = 60.0
 """Gain in log-likelihood of SCATTER_PIXELS from which jitter is named: noise that grows with
 brightness gains some as well."""
@@ -84,8 +87,9 @@ def jitter_of(found: Found) -> Jitter | None:
     if len(known) > SCATTER_PIXELS:
         known = np.sort(np.random.default_rng(0).choice(known, SCATTER_PIXELS, replace=False))
     residual = np.asarray(found.evidence.prediction)[known] - ((lo + hi) / 2)[known]
-    every = _change(model, picture, np.asarray(observation.pixels))
-    change, squares = every[known], residual.astype(np.float64) ** 2
+    pixels = np.asarray(observation.pixels)
+    change = _deviation(model, picture, pixels[known], WHOLE_STEP) / WHOLE_STEP
+    squares = residual.astype(np.float64) ** 2
 
     def likelihood(jitter: float) -> float:
         # What is left without jitter, if that is more than rounding.
@@ -104,67 +108,85 @@ def jitter_of(found: Found) -> Jitter | None:
         lambda spread: -likelihood(spread), bounds=(best / ratio, best * ratio), method="bounded"
     )
     spread = float(found_spread.x)
-    return Jitter(spread, np.abs(spread * every).astype(np.float32))
+    return Jitter(spread, _deviation(model, picture, pixels, spread))
 
 
-def _change(model: Mitchell, picture: Picture, pixels: np.ndarray) -> np.ndarray:
-    """(n,) levels by which the sum changes at ``pixels`` when all taps move by one step."""
+def _deviation(model: Mitchell, picture: Picture, pixels: np.ndarray, spread: float) -> np.ndarray:
+    """(n,) standard deviation in levels of the light pass at ``pixels`` by a jitter of ``spread``
+    steps."""
     w = picture.size[1]
-    places = jnp.asarray(np.stack([pixels % w, pixels // w], -1).astype(np.float32))
+    at = jnp.asarray(np.stack([pixels % w, pixels // w], -1).astype(np.float32))
     mask = picture.mask if picture.mask.ndim == 2 else picture.mask[..., 0]
-    change = np.zeros(len(pixels))
-    (taps,) = model.taps
-    for light in np.asarray(model.light):
-        ends = [
-            np.asarray(radial_sum(mask, light, eqx.tree_at(lambda t: t.lag, taps, lag), at=places))
-            for lag in (-0.5, 0.5)
-        ]
-        change += LEVELS * (ends[0] - ends[1])
-    return change
+    places, weights = UNIFORM
+    levels = LEVELS * model.moved_sums(mask, [spread * place for place in places], at)
+    mean = np.average(levels, 0, weights)
+    return np.sqrt(np.average((levels - mean) ** 2, 0, weights))
 
 
 def allowing_for_jitter(found: Found) -> Found | None:
     """The fit settled anew with the noise that jitter makes of each value, where the residual is
     such noise; None where it is not."""
-    form = misfit(found.evidence.prediction, found.observation)
-    jitter = jitter_of(found) if form.correlation <= MAX_CORRELATION else None
+    # Its residual may be correlated: bands that a sum without jitter has and the target has not.
+    jitter = jitter_of(found)
     if jitter is None:
         return None
-    own = found.observation.own_noise
-    noise = jitter.noise if own is None else np.hypot(jitter.noise, np.asarray(own))
-    observation = found.observation.with_noise(noise)
-    settled, tangent = settle(found.settled.coordinates, found.problem, observation)
-    at = evidence(settled, tangent, observation).thinned(found.problem.picture.repeats)
+    own, repeats = found.observation.own_noise, found.problem.picture.repeats
+    for _ in range(JITTER_ROUNDS):
+        model = dataclasses.replace(found.problem.model, jitter=np.float32(jitter.spread))
+        problem = found.problem.replaced(model=model)
+        noise = np.hypot(jitter.noise, SIGMAS[0] if own is None else np.asarray(own))
+        observation = found.observation.with_noise(noise.astype(np.float32))
+        settled, tangent = settle(found.settled.coordinates, problem, observation)
+        at = evidence(settled, tangent, observation).thinned(repeats)
+        found = found.replaced(
+            problem=problem, observation=observation, settled=settled, evidence=at
+        )
+        jitter = jitter_of(found) or jitter
     remark = Remark(jitter.suspect.words, jitter.suspect.name)
-    return found.replaced(
-        observation=observation, settled=settled, evidence=at, remarks=(*found.remarks, remark)
-    )
+    return found.replaced(remarks=(*found.remarks, remark))
 
 
 def scattered(found: Found) -> Suspect | None:
-    """The cause of a residual that is more than rounding and has no correlation; None where it is
-    noise as any other."""
-    sigma, picture = found.settled.sigma, found.problem.picture
-    if sigma <= WITHIN_ROUNDING or (picture.half > 0 and was_jpeg(picture.levels[..., 0])):
+    """The cause of a residual that is more than rounding; None where it is noise as any other."""
+    cause = _rounded(found)
+    if cause is None and _unexplained(found):
+        jitter = jitter_of(found)
+        cause = None if jitter is None else jitter.suspect
+    return cause
+
+
+def _unexplained(found: Found) -> bool:
+    """Whether the residual is more than rounding, and not of a JPEG."""
+    picture = found.problem.picture
+    jpeg = picture.half > 0 and was_jpeg(picture.levels[..., 0])
+    return found.settled.sigma > WITHIN_ROUNDING and not jpeg
+
+
+def _rounded(found: Found) -> Suspect | None:
+    if not _unexplained(found):
         return None
+    sigma, half = found.settled.sigma, found.problem.picture.half
     form = misfit(found.evidence.prediction, found.observation)
-    if form.correlation > MAX_CORRELATION:
-        return None
     # The residual holds the target's own rounding beside what is left.
-    share = sigma**2 / (sigma**2 + (2 * picture.half) ** 2 / 12)
+    share = sigma**2 / (sigma**2 + (2 * half) ** 2 / 12)
     bounded = 3 + UNIFORM_EXCESS * ((1 - share) ** 2 + BOUNDED * share**2)
-    if share > LEAST_SHARE and sigma <= MOST_ROUNDING and form.tails < bounded:
+    random = form.correlation <= MAX_CORRELATION and sigma <= MOST_ROUNDING
+    if random and share > LEAST_SHARE and form.tails < bounded:
         return Suspect(1.0, "rounded", ROUNDED.format(sigma, form.tails))
-    jitter = jitter_of(found)
-    return None if jitter is None else jitter.suspect
+    return None
 
 
 def explained(found: Found) -> Found:
-    """The fit with a remark on what scatters its residual, and with the noise that jitter makes;
-    as it is where the residual is noise as any other."""
-    cause = scattered(found)
-    if cause is None:
+    """The fit with a remark on a residual that is rounding, or with the noise that jitter makes
+    where that explains it; as it is where the residual is noise as any other."""
+    model = found.problem.model
+    if isinstance(model, Mitchell) and model.jitter is not None:
         return found
-    jittered = allowing_for_jitter(found) if cause.name == JITTER else None
-    remark = Remark(cause.words, cause.name)
-    return jittered or found.replaced(remarks=(*found.remarks, remark))
+    cause = _rounded(found)
+    if cause is not None:
+        return found.replaced(remarks=(*found.remarks, Remark(cause.words, cause.name)))
+    jittered = allowing_for_jitter(found) if _unexplained(found) else None
+    if jittered is None:
+        return found
+    form = misfit(jittered.evidence.prediction, jittered.observation)
+    return jittered if form.like_noise or not _unexplained(jittered) else found
