@@ -42,12 +42,27 @@ def test_the_answer_is_freed_of_what_the_target_went_through(made, scale):
     # Without asking what may be wrong, the same as if what is left were noise: its errors are too
     # small for what they miss.
     naive = stability.fit(target, mask, pass_scale=scale, inquire=False)
-    off, before = (
-        [(e.value - stability.TRUTH[n]) / e.stderr for n, e in each.params.items()]
-        for each in (result, naive)
-    )
-    assert np.max(np.abs(off)) < 4
-    assert np.linalg.norm(off) < 0.7 * np.linalg.norm(before)
+    assert np.max(off(result)) < 4
+    assert np.linalg.norm(off(result)) < 0.7 * np.linalg.norm(off(naive))
+
+
+def off(result):
+    """Errors over what is quoted."""
+    params = result.params.items()
+    return np.abs([(e.value - stability.TRUTH[n]) / e.stderr for n, e in params])
+
+
+def test_jittered_taps_are_fitted_by_their_mean_and_noise():
+    mask = stability.mask_of(SIZE, seed=4)
+    jitter = np.random.default_rng(5).random((SIZE, SIZE)) - 0.5
+    target = random_targets.to_bytes(random_targets.render64(mask / 255, stability.TRUTH, jitter))
+    result = stability.fit(target, mask)
+    assert result.converged, result.message
+    assert result.simulated
+    assert any("jittered by 0.29 of a step" in w for w in result.warnings)
+    naive = stability.fit(target, mask, inquire=False)
+    assert np.max(off(result)) < 3
+    assert np.linalg.norm(off(result)) < 0.5 * np.linalg.norm(off(naive))
 
 
 def test_a_wrong_model_is_not_excused_by_compression():
