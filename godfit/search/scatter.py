@@ -147,9 +147,11 @@ def allowing_for_jitter(found: Found) -> Found | None:
 
 
 def scattered(found: Found) -> Suspect | None:
-    """The cause of a residual that is more than rounding; None where it is noise as any other."""
+    """The cause of a residual that is more than rounding and has no correlation; None where it is
+    noise as any other."""
     cause = _rounded(found)
-    if cause is None and _unexplained(found):
+    form = misfit(found.evidence.prediction, found.observation)
+    if cause is None and _unexplained(found) and form.correlation <= MAX_CORRELATION:
         jitter = jitter_of(found)
         cause = None if jitter is None else jitter.suspect
     return cause
