@@ -215,7 +215,8 @@ def _panels(picture: Picture, shading: Mitchell) -> list[tuple[int, int, int, in
 
 def _tried(copy: Reduced, occluded: np.ndarray, settings: Settings) -> list[Hypothesis]:
     others = [hypotheses.colour, hypotheses.darkness]
-    makers = [hypotheses.bright, *([hypotheses.sky] if settings.bright_pass else others)]
+    skies = [hypotheses.sky, hypotheses.coarse_sky]
+    makers = [hypotheses.bright, *(skies if settings.bright_pass else others)]
     made = [maker(copy, occluded) for maker in makers]
     kept = [h for h in made if h is not None and np.count_nonzero(h.usable) >= LEAST_PIXELS]
     if not kept:

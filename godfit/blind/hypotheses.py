@@ -39,8 +39,9 @@ DARK_CENTRES = (0.05, 0.95)
 """Quantiles of the brightness at which the centres of dark and light pixels start."""
 CENTRE_ROUNDS = 30
 """Rounds of the two centres: they stand still after about ten."""
-SKY_STEPS = 4
-"""Steps of a sky's brightness: a threshold between two of them is their mixture."""
+SKY_STEPS, FEWER_SKY_STEPS = 4, 2
+"""Steps of a sky's brightness: a threshold between two of them is their mixture. The light that
+fewer steps give tells how much it depends on them."""
 LEAST_SHARE = 0.03
 """Share of the picture that is open and usable, at least, for a hypothesis to be tried."""
 
@@ -73,9 +74,9 @@ def bright(copy: Reduced, occluded: np.ndarray) -> Hypothesis:
     )  # fmt: skip
 
 
-def sky(copy: Reduced, occluded: np.ndarray) -> Hypothesis | None:
-    """A sum of steps of the brightness, between what is dark and what is brightest; only what is
-    dark is data. None where there is too little of either."""
+def sky(copy: Reduced, occluded: np.ndarray, count: int = SKY_STEPS) -> Hypothesis | None:
+    """A sum of ``count`` steps of the brightness, between what is dark and what is brightest; only
+    what is dark is data. None where there is too little of either."""
     if not copy.usable.any():
         return None
     mean = copy.values.mean(-1)
@@ -83,14 +84,19 @@ def sky(copy: Reduced, occluded: np.ndarray) -> Hypothesis | None:
     lit = (mean > dark) & copy.valid & ~occluded
     if min(lit.mean(), (copy.usable & ~lit).mean()) < LEAST_SHARE:
         return None
-    steps = np.quantile(mean[lit], np.arange(SKY_STEPS) / SKY_STEPS)
+    steps = np.quantile(mean[lit], np.arange(count) / count)
     maps = [(lit & (mean >= step)).astype(np.float64) for step in steps]
     usable = copy.usable & ~grown(lit)
     values = copy.values @ calmest_channel(copy.values, usable)
     return Hypothesis(
-        "sky", _maps(*maps), np.zeros(SKY_STEPS, int), values, usable, np.zeros_like(usable),
+        "sky", _maps(*maps), np.zeros(count, int), values, usable, np.zeros_like(usable),
         copy.values.min(-1), (), maps[0],
     )  # fmt: skip
+
+
+def coarse_sky(copy: Reduced, occluded: np.ndarray) -> Hypothesis | None:
+    """The same with fewer steps."""
+    return sky(copy, occluded, FEWER_SKY_STEPS)
 
 
 def bright_pass(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
