@@ -42,7 +42,7 @@ from godfit.models.coordinates import (
     RADIUS,
     VEIL,
 )
-from godfit.models.disc_light import DiscLight
+from godfit.models.disc_light import MAX_RADIUS, DiscLight
 from godfit.models.mitchell import Mitchell
 
 EXPOSURE_GUESS = 0.1
@@ -138,6 +138,7 @@ def solved_exactly(
         known = picture.valid
     unit = SCREENED_UNIT if shading.convention.blend == "screen" else 1.0
     texture = drawn(candidate.hypothesis, FINE_PAIRS, seed).spread * LEVELS * unit
+    sky = candidate.hypothesis.name == "sky"
     veiled = candidate.hypothesis.name in ("colour", "darkness")
     calm = posed.own and veiled and texture < CALM
     mask = shrink_mask(open_, posed.given.pass_scale or 1.0)
@@ -148,7 +149,7 @@ def solved_exactly(
         np.array([0.1, FIRST_EDGE, 0.05]),
         np.zeros((TERM_COUNTS[degree], picture.channels)),
     )
-    start, held = _start(candidate, model, posed, seed)
+    start, held = _start(candidate, model, posed, picture if sky else posed.picture, seed)
     free = np.isnan(held) & model.used
     linear = free & model.linear()
     linear[[GAIN, VEIL]] = free[[GAIN, VEIL]]
@@ -202,9 +203,10 @@ def beyond_disc(found: Exact) -> Exact | None:
 
 
 def _start(
-    candidate: Candidate, model: DiscLight, posed: Posed, seed: int
+    candidate: Candidate, model: DiscLight, posed: Posed, picture: Picture, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(p,) the coordinates that the search found, and (p,) those that are held, NaN where free."""
+    """(p,) the coordinates that the search found, with the background of ``picture``, and (p,)
+    those that are held, NaN where free."""
     given, held = given_and_held(model, posed.given.fix, posed.given.start)
     hypothesis = candidate.hypothesis
     h, w = hypothesis.values.shape
@@ -217,7 +219,7 @@ def _start(
     z[LIGHT_X], z[LIGHT_Y] = candidate.place
     z[RADIUS], z[EDGE] = candidate.radius * max(h, w) / h, FIRST_EDGE
     z[GAIN], z[VEIL] = gains[-1], gains[0] if len(gains) > 1 else 0.0
-    values = posed.picture.levels[posed.picture.valid] / np.float32(LEVELS)
+    values = picture.levels[picture.valid] / np.float32(LEVELS)
     background = np.median(values, axis=0)
     z[FIRST_BACKGROUND : FIRST_BACKGROUND + model.background.shape[1]] = background
     if np.isnan(held[EXPOSURE]) and np.isnan(held[3]):
@@ -227,8 +229,8 @@ def _start(
     if hypothesis.name == "bright":
         held[VEIL] = 0.0
     if hypothesis.name == "sky":
-        # A veil without a disc.
-        held[GAIN], z[VEIL] = 0.0, gains.sum()
+        # A disc without end.
+        z[GAIN], held[VEIL], held[RADIUS], held[EDGE] = gains.sum(), 0.0, MAX_RADIUS, z[EDGE]
     z = np.where(np.isnan(held), z, held).astype(np.float32)
     lower, upper = (np.asarray(end, np.float32) for end in model.bounds())
     return np.clip(z, lower, upper), held

@@ -30,6 +30,7 @@ from godfit.models.coordinates import DENSITY, LIGHT_X, LIGHT_Y, RADIUS
 from godfit.runtime import interrupts
 from godfit.scattering.conventions import convention
 from tests.support.blind_search import fewer_pairs  # noqa: F401
+from tests.support.synthetic import photographs
 
 SIZE = 90, 160
 LIGHT = 0.4, 0.55
@@ -301,3 +302,16 @@ def test_a_clip_of_bare_pictures_names_every_frames_light():
     for frame, light in zip(result.frames, lights, strict=True):
         # What counts as found in a single picture.
         assert np.abs(np.subtract(frame.light, light)).max() < 0.01
+
+
+def test_the_light_of_a_sky_is_found_by_the_rays_on_what_is_dark():
+    made = photographs.make_photograph(1003, (135, 240))
+    copy = copy_of(made.image)
+    nothing = np.zeros(copy.valid.shape, bool)
+    found = search.searched(hypotheses.sky(copy, nothing), None, 0)
+    truth = made.truth["light_x"], made.truth["light_y"]
+    assert choice.distance(found.place, truth) < 0.01
+    # A bright disc alone explains less.
+    assert found.cost < search.searched(hypotheses.bright(copy, nothing), None, 0).cost
+    # A picture without anything dark has no such mask.
+    assert hypotheses.sky(copy_of(np.full((40, 60, 3), 128, np.uint8)), nothing[:40, :60]) is None
