@@ -139,7 +139,7 @@ def fit(
     with working(run) as progress:
         file = study.options.get("scene")
         find_shader(study.options)
-        # Before the imports, while which compiled programs are loaded.
+        # Before the imports: compiled programs are loaded meanwhile.
         prepare(study.options, run, progress, study.image.values.shape)
         from godfit.fitting import fit
         from godfit.studies.posterior import require

@@ -106,10 +106,8 @@ def jittered_bytes(picture: Picture, model: AbstractModel, rng: np.random.Genera
     assert model.jitter is not None
     h, w = picture.size
     half = 3**0.5 * float(model.jitter)
-    row, column = np.mgrid[:h, :w]
-    at = jnp.asarray(np.stack([column.ravel(), row.ravel()], -1).astype(np.float32))
-    mask = picture.mask if picture.mask.ndim == 2 else picture.mask[..., 0]
-    sums = model.moved_sums(mask, list(np.linspace(-half, half, JITTER_PLACES + 1)), at)
+    lags = list(np.linspace(-half, half, JITTER_PLACES + 1))
+    sums = model.moved_sums(picture.mask, lags, np.arange(h * w))
     place = rng.uniform(0, JITTER_PLACES, h * w)
     first = place.astype(int)
     low, high = (np.take_along_axis(sums, i[None], 0)[0] for i in (first, first + 1))
@@ -139,11 +137,13 @@ def corrected(found: Found) -> Found:
         return found
     off = _processed_at(found, z, process, np.random.default_rng(1)) - picture.levels
     rms = np.sqrt(np.mean(off[picture.valid] ** 2))
-    same = rms <= SAME_PICTURE * max(apart, 2 * WITHIN_ROUNDING)
     if isinstance(problem.model, Mitchell) and problem.model.jitter is not None:
-        same, rms = rms <= SAME_SCATTER * apart, 0.0
-    # Under a wrong model corrections may lead to pictures so odd that any two are similar.
-    if not same or rms > MAX_NOISE_RATIO * max(settled.sigma, HALF_LEVEL):
+        same = rms <= SAME_SCATTER * apart
+    else:
+        same = rms <= SAME_PICTURE * max(apart, 2 * WITHIN_ROUNDING)
+        # Under a wrong model corrections may lead to pictures so odd that any two are similar.
+        same &= rms <= MAX_NOISE_RATIO * max(settled.sigma, HALF_LEVEL)
+    if not same:
         return found
     tangent = tangent_at(z.astype(np.float32), problem, found.observation)
     likelihood = log_likelihood_at(tangent.prediction, found.observation, settled.sigma)

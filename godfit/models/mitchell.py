@@ -229,17 +229,21 @@ class Mitchell(AbstractModel):
         return jnp.asarray(total)
 
     def moved_sums(
-        self, mask: Any, lags: Sequence[float], at: Float[Array, "n 2"]
+        self, mask: Any, lags: Sequence[float], pixels: np.ndarray
     ) -> Float[np.ndarray, "lags n"]:
-        """The scattering pass of a shader with one set of taps at columns and rows ``at``, with all
-        taps moved towards the pixel by each of ``lags``, in steps."""
+        """The linear scattering pass of a shader with one set of taps under a grey ``mask``, (h, w)
+        or (h, w, 1), at row-major indices ``pixels`` (n,), with all taps moved towards the pixel by
+        each of ``lags``, in steps."""
+        mask = mask if mask.ndim == 2 else mask[..., 0]
+        row, column = np.divmod(pixels, mask.shape[1])
+        at = jnp.asarray(np.stack([column, row], -1).astype(np.float32))
         (taps,) = self.taps
-        levels = np.zeros((len(lags), len(at)))
+        sums = np.zeros((len(lags), len(pixels)))
         for light in self.light:
             for i, lag in enumerate(lags):
                 moved = eqx.tree_at(lambda t: t.lag, taps, lag)
-                levels[i] += np.asarray(radial_sum(mask, light, moved, at=at))
-        return levels
+                sums[i] += np.asarray(radial_sum(mask, light, moved, at=at))
+        return sums
 
     def _scattered(self, read, light, at, method):
         """The light pass of one ``light``, of what it ``read``s."""

@@ -142,8 +142,7 @@ def _located(problem: Problem, given: dict[str, float], effort: Effort) -> Locat
     begun = starting_points(problem, given)
     candidates = [begun[0]]
     if any_free and model.banded:
-        whole = pixels_used(problem.picture, problem.seed, effort.max_values)
-        rehearse(begun[0], problem, problem.observe(SEARCH_PIXELS), problem.picture.observe(whole))
+        rehearse(begun[0], problem, effort.max_values)
     if any_free:
         climbed = multigrid.climb(problem.small, begun, effort.report, stages=stages(model))
         candidates = [climbed.coordinates]

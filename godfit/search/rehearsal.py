@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import contextlib
 import threading
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from godfit.inference.information import evidence
 from godfit.inference.noise import SIGMAS, best_sigma
 from godfit.inference.observation import Observation
-from godfit.inference.problem import Problem
+from godfit.inference.problem import SEARCH_PIXELS, Problem, pixels_used
 from godfit.inference.settle import Settled, aim
 from godfit.inference.solver import Tangent
 from godfit.runtime.compile_time import beside_others
@@ -22,15 +23,21 @@ from godfit.runtime.guest import own_settings
 from godfit.runtime.program_cache import must_compile
 
 
-def rehearse(start: np.ndarray, problem: Problem, *observations: Observation) -> None:
-    """Compile, on a thread of its own, what settles a ``problem`` on each of ``observations``,
-    unless an earlier command has stored it."""
+def rehearse(start: np.ndarray, problem: Problem, max_values: int) -> None:
+    """Compile, on a thread of its own, what settles a ``problem`` on the pixels of a search and on
+    all of them, ``max_values`` at most, unless an earlier command has stored it."""
     if must_compile():
-        work = threading.Thread(target=_rehearse, args=(start, problem, observations), daemon=True)
-        work.start()
+        arguments = start, problem, _observations(problem, max_values)
+        threading.Thread(target=_rehearse, args=arguments, daemon=True).start()
 
 
-def _rehearse(start: np.ndarray, problem: Problem, observations: tuple[Observation, ...]) -> None:
+def _observations(problem: Problem, max_values: int) -> Iterator[Observation]:
+    yield problem.observe(SEARCH_PIXELS)
+    picture = problem.picture
+    yield picture.observe(pixels_used(picture, problem.seed, max_values))
+
+
+def _rehearse(start: np.ndarray, problem: Problem, observations: Iterable[Observation]) -> None:
     # What fails here fails where it is needed, and is reported there.
     with contextlib.suppress(Exception), beside_others(), own_settings():
         for observation in observations:

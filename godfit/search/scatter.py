@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from godfit.errors import Remark
@@ -114,11 +113,9 @@ def jitter_of(found: Found) -> Jitter | None:
 def _deviation(model: Mitchell, picture: Picture, pixels: np.ndarray, spread: float) -> np.ndarray:
     """(n,) standard deviation in levels of the light pass at ``pixels`` by a jitter of ``spread``
     steps."""
-    w = picture.size[1]
-    at = jnp.asarray(np.stack([pixels % w, pixels // w], -1).astype(np.float32))
-    mask = picture.mask if picture.mask.ndim == 2 else picture.mask[..., 0]
     places, weights = UNIFORM
-    levels = LEVELS * model.moved_sums(mask, [spread * place for place in places], at)
+    lags = [spread * place for place in places]
+    levels = LEVELS * model.moved_sums(picture.mask, lags, pixels)
     mean = np.average(levels, 0, weights)
     return np.sqrt(np.average((levels - mean) ** 2, 0, weights))
 
