@@ -204,25 +204,15 @@ def problem(target: Source, **options: Any) -> Problem:
     return found.problem.replaced(point=settled.coordinates, noise_levels=settled.sigma)
 
 
-class Clock(NamedTuple):
-    """When a fit began, and how many seconds the process had spent compiling by then."""
-
-    began: float
-    compiled: float
-
-    @staticmethod
-    def start() -> Clock:
-        return Clock(time.perf_counter(), compile_seconds())
-
-    def read(self) -> dict[str, float]:
-        """Seconds since then."""
-        compiled = compile_seconds() - self.compiled
-        return {"compile": compiled, "solve": time.perf_counter() - self.began}
+def _seconds_since(began: float) -> dict[str, float]:
+    """Seconds since then (``time.perf_counter``) with compilation and without."""
+    compiling = compile_seconds(began)
+    return {"compile": compiling, "solve": time.perf_counter() - began - compiling}
 
 
 def _fit(request: Request) -> FitResult:
-    clock = Clock.start()
-    return _concluded(*found_for(request), clock)
+    began = time.perf_counter()
+    return _concluded(*found_for(request), began)
 
 
 def found_for(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image]]:
@@ -559,11 +549,11 @@ def _scale_of(found: Found, request: Request, posed: Posed) -> float | None:
 
 
 def _concluded(
-    found: Found, notes: tuple[str, ...], images: dict[str, Image], clock: Clock
+    found: Found, notes: tuple[str, ...], images: dict[str, Image], began: float
 ) -> FitResult:
     """The result, with the notes of the images' files."""
     notes += tuple(
         Remark(f"{role}: {note}", "file") for role, im in images.items() for note in im.notes
     )
     files = {role: {"path": im.path, "sha256": im.sha256} for role, im in images.items()}
-    return verdict(found, notes, files, clock.read())
+    return verdict(found, notes, files, _seconds_since(began))

@@ -149,7 +149,7 @@ def verdict(
         residual_correlation=residual_misfit.correlation,
         residual_tails=residual_misfit.tails,
         log_likelihood=settled.log_likelihood,
-        timing_s=timing | {"solve": timing["solve"] - timing["compile"]},
+        timing_s=timing,
         picture=picture,
         free=problem.free,
         held=estimated.held,
