@@ -101,6 +101,7 @@ def free_distance(canvas: Canvas, march: bool = False) -> Float[Array, "H W"]:
     return _free_distance(filled, march, canvas.opacity.dtype)
 
 
+@functools.partial(jax.jit, static_argnums=(1, 2))
 def _free_distance(filled: Bool[Array, "h w"], march: bool, dtype) -> Float[Array, "H W"]:
     h, w = filled.shape
     if march:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -65,6 +67,7 @@ class Sky(eqx.Module):
         sky = jnp.expand_dims(self.sky, tuple(range(angles.ndim)))
         return sky + (1 - u * u * (3 - 2 * u))[..., None] * sun
 
+    @functools.partial(jax.jit, static_argnums=1)
     def over(self, bins: int) -> Float[Array, "bins 3"]:
         """Mean radiance over each of ``bins`` equal parts of the circle, the first from 0 to
         360 / bins degrees. The means are exact: a sun narrower than a part is not missed, and moves

@@ -5,8 +5,8 @@ rows have a scale and a shift of their own. The first guesses are that both show
 and that the target is a crop of it. From the best, the four numbers are improved by Gauss-Newton
 steps on a few thousand pixels, with the parameters' own steps projected out. A map that is a shift
 by whole pixels, to within its error, is taken as that: the mask is then cropped and not
-interpolated. A mask that was enlarged from the target's size is taken as it was before that, where
-this explains no less: interpolated twice, its edges would be grey.
+interpolated. A mask that was resized from the target's size is taken as it was before that, where
+this explains no less (``godfit.search.resizing``): interpolated twice, its edges would be grey.
 
 The light is in the target's frame. Beyond the target's edge the mask's edge there is repeated,
 which is exact for a light on the picture: its rays do not leave the frame.
@@ -27,8 +27,8 @@ from godfit.inference.problem import SEARCH_PIXELS, Problem
 from godfit.inference.settle import Settled, settle
 from godfit.inference.solver import Tangent
 from godfit.inference.strategy import Report, stages, starting_points
-from godfit.io.image import LEVELS
 from godfit.search import multigrid
+from godfit.search.resizing import before_resize
 
 NEAR, NEAR_ASPECT = 0.02, 0.01
 """Differences of the sides and of the aspects of mask and target, as a share, up to which the mask
@@ -42,11 +42,6 @@ ROUNDS = 8
 """Gauss-Newton steps, at most."""
 LEAST_STEP = 1e-3
 """Pixels below which another step is not worth it."""
-SHARED, NEARLY_ALL, MOST_VALUES = 0.005, 0.9, 8
-"""Share of a mask's pixels that have one value for it to be a colour; the share of all colours; and
-their number, at most: a clear colour, a light, and a few objects."""
-SAME_BYTE = 1e-3
-"""Levels within which values are whole: those of bytes that float32 holds."""
 WHOLE = 0.05
 """Pixels within which a map is taken as a shift by whole pixels, where that explains no less."""
 
@@ -116,15 +111,12 @@ class Registered(NamedTuple):
 
 def may_register(mask: tuple[int, ...], target: tuple[int, ...], asked: bool) -> bool:
     """Whether a mask of a size (h, w) can be registered with a target of another; unasked only
-    where the two differ, by little. Equal shares of both sides are no such difference where the
-    mask is the smaller: that is a light pass at lower resolution."""
+    where the two differ, by little: a light pass at lower resolution is smaller by more."""
     ratio = np.array(mask[:2]) / np.array(target[:2])
     if asked:
         return bool((np.abs(ratio - 1) <= REGISTERED).all())
-    near = bool((np.abs(ratio - 1) <= NEAR).all() and abs(ratio[0] / ratio[1] - 1) <= NEAR_ASPECT)
-    (h, w), (height, width) = mask[:2], target[:2]
-    lower = h <= height and w <= width and abs(w * height - h * width) <= max(width, height)
-    return near and not lower
+    near = (np.abs(ratio - 1) <= NEAR).all() and abs(ratio[0] / ratio[1] - 1) <= NEAR_ASPECT
+    return bool(near and mask[:2] != target[:2])
 
 
 def fitted_size(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -178,15 +170,12 @@ def registered(
     found = Map.of(corners, size)
     whole = Map(np.ones(2), np.round(found.shift))
     best = found.applied(solver.mask, size)
-    before = reduced(solver.mask, size)
-    if solver.values is not None:
-        blurred = [guesses[0].applied(solver.mask, size), *before]
-        before += [snapped(moved, solver.values) for moved in blurred]
-    exact = [(guesses[0], moved) for moved in before]
+    exact = [(guesses[0], before) for before in before_resize(solver.mask, size)]
     if np.abs(whole.corners(size) - corners).max() < WHOLE:
         exact.append((whole, whole.applied(solver.mask, size)))
-    for near, moved in exact:
-        other = solver.under(moved, settled.coordinates)[0]
+    tried = [(*one, solver.under(one[1], settled.coordinates)[0]) for one in exact]
+    if tried:
+        near, moved, other = max(tried, key=lambda one: one[2].log_likelihood)
         if other.log_likelihood >= settled.log_likelihood - 1:
             found, best, settled, errors = near, moved, other, np.zeros((0, 4))
     shifts = tuple(slopes @ error for error in errors)
@@ -205,47 +194,6 @@ def registered(
     return Registered(picture, Remark(words, "register"), shifts, objection)
 
 
-def few_values(mask: np.ndarray) -> np.ndarray | None:
-    """The values of a mask that was drawn with few colours and without anti-aliasing, and resized:
-    those that many pixels share. None where they are not nearly all of it."""
-    values, counts = np.unique(mask, return_counts=True)
-    shared = counts >= SHARED * mask.size
-    if shared.sum() > MOST_VALUES or counts[shared].sum() < NEARLY_ALL * mask.size:
-        return None
-    return values[shared]
-
-
-def snapped(mask: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """The ``mask`` with each value replaced by the nearest of ``values``: as it was before a resize
-    made its edges grey."""
-    middles = (values[1:] + values[:-1]) / 2
-    return values[np.searchsorted(middles, mask)].astype(np.float32)
-
-
-def reduced(mask: np.ndarray, size: tuple[int, int]) -> list[np.ndarray]:
-    """The ``mask`` (H, W, ...) as it was at ``size`` (h, w), if it was enlarged from that by
-    nearest neighbour, and if it was so by bilinear interpolation. Empty where it is not larger.
-
-    Interpolation between h values at H > h places has one solution by least squares. It is stable:
-    from either edge to the middle, each value has more than half of the weight at some place.
-    """
-    sides = mask.shape[:2]
-    if sides == size or any(side < n for side, n in zip(sides, size, strict=True)):
-        return []
-    nearest, linear = mask, mask.astype(np.float64)
-    for axis, (side, n) in enumerate(zip(sides, size, strict=True)):
-        chosen = np.floor((np.arange(n) + 0.5) * side / n).astype(int)
-        nearest = np.take(nearest, chosen, axis)
-        places = ((np.arange(side) + 0.5) * n / side - 0.5).clip(0, n - 1)
-        weights = np.maximum(1 - np.abs(places[:, None] - np.arange(n)), 0)
-        undone = np.linalg.pinv(weights)
-        linear = np.moveaxis(np.tensordot(undone, linear, (1, axis)), 0, axis)
-    linear = linear.clip(0, 1)
-    if np.abs(mask * LEVELS - np.round(mask * LEVELS)).max() < SAME_BYTE:
-        linear = np.round(linear * LEVELS) / LEVELS
-    return [nearest, linear.astype(np.float32)]
-
-
 class _Solver:
     """Maps of ``mask`` (H, W, ...) onto the target of a ``problem``."""
 
@@ -253,7 +201,7 @@ class _Solver:
         self.problem, self.mask = problem, np.asarray(mask, np.float32)
         if problem.picture.mask.ndim == 2 and self.mask.ndim == 3:
             self.mask = self.mask[..., 0]
-        self.size, self.values = problem.picture.size, few_values(self.mask)
+        self.size = problem.picture.size
         self.observation = problem.observe(SEARCH_PIXELS)
 
     def posed(self, corners: np.ndarray) -> Problem:

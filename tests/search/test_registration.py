@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from PIL import Image
-from scipy import ndimage
 
 import godfit
 from godfit.errors import InputError
@@ -23,44 +22,6 @@ def test_a_map_of_whole_pixels_is_a_crop():
     corners = registration.Map(np.array([1.1, 0.9]), np.array([2.0, -1.0])).corners((9, 11))
     found = registration.Map.of(corners, (9, 11))
     np.testing.assert_allclose([found.scale, found.shift], [[1.1, 0.9], [2, -1]])
-
-
-def test_a_mask_of_few_colours_is_one_again_after_a_resize():
-    mask = np.where(np.random.default_rng(1).random((10, 10)) < 0.5, 0.0, 1.0).repeat(32, 0)
-    mask = mask.repeat(32, 1).astype(np.float32)
-    grey = registration.Map(np.full(2, 0.99), np.zeros(2)).applied(mask, (323, 323))
-    values = registration.few_values(grey)
-    np.testing.assert_array_equal(values, [0, 1])
-    assert set(np.unique(registration.snapped(grey, values))) == {0, 1}
-    assert registration.few_values(np.random.default_rng(2).random((40, 40))) is None
-
-
-@pytest.mark.parametrize("colours", [(), (3,)])
-def test_a_mask_is_as_it_was_before_it_was_enlarged(colours):
-    size, larger = (64, 48), (65, 49)
-    before = np.random.default_rng(3).integers(0, 256, (*size, *colours)).astype(np.float32) / 255
-
-    def enlarged(order):
-        """As image libraries do it: pixel centres at i + 1/2, the edge repeated, bytes."""
-        scale = [n / side for n, side in zip(size, larger, strict=True)]
-        channels = before.reshape(*size, -1)
-        out = [
-            ndimage.affine_transform(
-                channels[..., c], scale, [s / 2 - 0.5 for s in scale], larger, order=order,
-                mode="nearest",
-            )
-            for c in range(channels.shape[-1])
-        ]  # fmt: skip
-        return (np.round(np.stack(out, -1) * 255) / 255).reshape(*larger, *colours)
-
-    nearest, _ = registration.reduced(enlarged(0), size)
-    np.testing.assert_allclose(nearest, before, atol=1e-6)
-    _, linear = registration.reduced(enlarged(1), size)
-    # Near the middle, where a place takes half of two values, rounding counts several times.
-    error = np.abs(linear - before) * 255
-    assert np.sqrt((error**2).mean()) < 1
-    assert error.max() < 10
-    assert registration.reduced(before, size) == registration.reduced(before, larger) == []
 
 
 @pytest.mark.usefixtures("single_precision")
@@ -87,10 +48,27 @@ def test_a_mask_of_another_frame_is_refused_and_the_option_is_named():
 
 
 @pytest.mark.usefixtures("single_precision")
+def test_a_mask_that_was_made_smaller_is_fitted_as_it_was_before():
+    mask, truth = distortions.frame(2, SIZE - 1)
+    mask = np.where(mask > 127, 255, 0).astype(np.uint8)
+    target = random_targets.to_bytes(random_targets.render64(mask / 255, truth))
+    smaller = Image.fromarray(mask).resize((SIZE - 2, SIZE - 2), Image.Resampling.BILINEAR)
+    result = godfit.fit(
+        target, mask=np.asarray(smaller), shader="dawntime", samples=distortions.SAMPLES
+    )
+    assert result.converged, result.message
+    assert result.noise_levels < 0.02
+    (note,) = [note for note in result.notes if "registered" in note]
+    assert "scale 0.989583 x 0.989583" in note
+    assert abs(result.params["density"].value - truth["density"]) < 1e-4
+
+
+@pytest.mark.usefixtures("single_precision")
 def test_edges_that_a_resize_lost_are_no_converged_fit():
     mask, truth = distortions.frame(2, SIZE - 1)
     target = random_targets.to_bytes(random_targets.render64(mask / 255, truth))
-    mask = np.asarray(Image.fromarray(mask).resize((SIZE - 4, SIZE - 4), Image.Resampling.BOX))
+    # Narrower alone: every row and column that is gone is one more crop to begin with.
+    mask = np.asarray(Image.fromarray(mask).resize((SIZE - 6, SIZE - 1), Image.Resampling.BOX))
     result = godfit.fit(
         target, mask=mask, shader="dawntime", samples=distortions.SAMPLES, register=True,
         inquire=False,

@@ -1,0 +1,76 @@
+"""Masks as they were before Pillow resized them."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from godfit.search.resizing import KERNELS, before_resize, few_values, resize_weights, snapped
+
+FILTERS = {
+    "box": Image.Resampling.BOX,
+    "bilinear": Image.Resampling.BILINEAR,
+    "bicubic": Image.Resampling.BICUBIC,
+    "lanczos": Image.Resampling.LANCZOS,
+}
+SIZE = (96, 80)
+LARGER, SMALLER = (97, 81), (95, 79)
+
+
+def _resized(mask: np.ndarray, size: tuple[int, int], name: str) -> np.ndarray:
+    return np.asarray(Image.fromarray(mask).resize(size[::-1], FILTERS[name]))
+
+
+def _shapes(colours: tuple[int, ...]) -> np.ndarray:
+    """Discs of these colours on the first of them, as bytes."""
+    rng = np.random.default_rng(3)
+    rows, columns = np.indices(SIZE)
+    mask = np.full(SIZE, colours[0], np.uint8)
+    for colour in rng.permutation(np.repeat(colours, 4)):
+        y, x, radius = rng.uniform(0, 1, 3) * (*SIZE, 14)
+        mask[(rows - y) ** 2 + (columns - x) ** 2 < radius**2] = colour
+    return mask
+
+
+@pytest.mark.parametrize("size", [LARGER, SMALLER, (192, 160), (48, 40)])
+@pytest.mark.parametrize("name", KERNELS)
+def test_weights_are_those_of_an_image_program(name, size):
+    mask = np.random.default_rng(0).integers(0, 256, SIZE, np.uint8)
+    rows, columns = (resize_weights(*n, name) for n in zip(SIZE, size, strict=True))
+    # Each pass is rounded and clipped to bytes, the columns first.
+    across = np.floor((columns @ mask.T.astype(float)).T.clip(0, 255) + 0.5)
+    expected = np.floor((rows @ across).clip(0, 255) + 0.5)
+    assert np.abs(expected - _resized(mask, size, name)).max() <= 1
+
+
+@pytest.mark.parametrize("size", [LARGER, SMALLER])
+@pytest.mark.parametrize("name", KERNELS)
+def test_a_mask_in_two_colours_is_found_again(name, size):
+    mask = _shapes((0, 255))
+    resized = np.float32(_resized(mask, size, name)) / 255
+    errors = [np.abs(before * 255 - mask) for before in before_resize(resized, SIZE)]
+    # A box makes nothing grey, and a smaller picture lacks a row and a column.
+    lost = 0.02 if (name, size) == ("box", SMALLER) else 0
+    assert min((error > 0).mean() for error in errors) <= lost
+
+
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_a_mask_in_all_colours_is_nearly_found_again(channels):
+    rng = np.random.default_rng(1)
+    mask = rng.integers(0, 256, (*SIZE, *channels), np.uint8)
+    resized = np.float32(_resized(mask, LARGER, "bilinear")) / 255
+    error = min(np.sqrt(((z * 255 - mask) ** 2).mean()) for z in before_resize(resized, SIZE))
+    # Halfway between two pixels, what alternates is lost.
+    assert error < 6
+
+
+def test_a_mask_of_its_size_is_as_it_was():
+    assert before_resize(np.zeros(SIZE, np.float32), SIZE) == []
+
+
+def test_few_values_are_those_that_many_pixels_share():
+    grey = np.float32(_resized(_shapes((0, 102, 255)), LARGER, "bilinear")) / 255
+    values = few_values(grey)
+    assert values is not None
+    np.testing.assert_allclose(values, [0, 0.4, 1], atol=1e-6)
+    assert set(np.unique(snapped(grey, values))) == set(values)
+    assert few_values(np.random.default_rng(2).random((40, 40))) is None
