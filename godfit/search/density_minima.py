@@ -234,11 +234,12 @@ def _with_distant(
     settled: Settled, at: Evidence, problem: Problem, observation: Observation
 ) -> tuple[Settled, Evidence]:
     """The likeliest of the minima anywhere, where the residual is less than rounding would hide and
-    yet more than the right answer leaves: short rays determine density so poorly that a few
-    thousand pixels are content with a wrong one."""
+    yet more than the right answer leaves, or density is in doubt: short rays determine it so poorly
+    that a few thousand pixels are content with a wrong one."""
     for _ in range(MAX_DENSITY_SCANS):
         along, width, _ = bands_at(settled, at, problem)
-        if not problem.free[along] or not ROUNDING_ONLY < settled.sigma < WITHIN_ROUNDING:
+        in_doubt = problem.free[along] and _in_doubt(settled, at, problem)
+        if not in_doubt or settled.sigma >= WITHIN_ROUNDING:
             break
         before = settled
         found = scan_density(settled, problem, along, count=COMPARED_PIXELS)

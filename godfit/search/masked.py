@@ -56,6 +56,11 @@ OTHER_SIZE = (
     "the mask's own (noise of {other:.2g} levels against {own:.2g}); --pass-scale 1 overrides this"
 )
 """Note with the scale, width, height and noise of the light pass that is kept."""
+UNKNOWN_EDGES = (
+    "edges that a resize of the mask lost leave in doubt which of several densities is right; give "
+    "the mask as the shader read it"
+)
+"""Objection to a fit whose density is another one where the mask's edges are."""
 
 
 @search.register
@@ -105,7 +110,17 @@ def search_mask(problem: Problem, given: dict[str, float], effort: Effort) -> Fo
     found = scatter.explained(found) if unexplained else found
     found = hold_open(found, given)
     found = indirect_inference.corrected(found) if found.inquire else found
+    if _edges_hide_density(found):
+        found = found.replaced(objection=found.objection or UNKNOWN_EDGES)
     return with_mask_shifts(found)
+
+
+def _edges_hide_density(found: Found) -> bool:
+    """Whether a wrong minimum in density may explain what a mask with unknown edges leaves."""
+    problem = found.problem
+    if problem.picture.texel_variance is None or not problem.model.banded:
+        return False
+    return density_minima.bands_at(found.settled, found.evidence, problem).doubtful
 
 
 def _explained_by_another(problem: Problem, effort: Effort) -> Found | None:

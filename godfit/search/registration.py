@@ -28,7 +28,7 @@ from godfit.inference.settle import Settled, settle
 from godfit.inference.solver import Tangent
 from godfit.inference.strategy import Report, stages, starting_points
 from godfit.search import multigrid
-from godfit.search.resizing import before_resize
+from godfit.search.resizing import Before, before_resize
 
 NEAR, NEAR_ASPECT = 0.02, 0.01
 """Differences of the sides and of the aspects of mask and target, as a share, up to which the mask
@@ -169,15 +169,15 @@ def registered(
     corners, settled, slopes, errors = max(ends, key=lambda end: end[1].log_likelihood)
     found = Map.of(corners, size)
     whole = Map(np.ones(2), np.round(found.shift))
-    best = found.applied(solver.mask, size)
+    best = Before(found.applied(solver.mask, size))
     exact = [(guesses[0], before) for before in before_resize(solver.mask, size)]
     if np.abs(whole.corners(size) - corners).max() < WHOLE:
-        exact.append((whole, whole.applied(solver.mask, size)))
-    tried = [(*one, solver.under(one[1], settled.coordinates)[0]) for one in exact]
+        exact.append((whole, Before(whole.applied(solver.mask, size))))
+    tried = [(*one, solver.under(one[1].mask, settled.coordinates)[0]) for one in exact]
     if tried:
-        near, moved, other = max(tried, key=lambda one: one[2].log_likelihood)
+        near, before, other = max(tried, key=lambda one: one[2].log_likelihood)
         if other.log_likelihood >= settled.log_likelihood - 1:
-            found, best, settled, errors = near, moved, other, np.zeros((0, 4))
+            found, best, settled, errors = near, before, other, np.zeros((0, 4))
     shifts = tuple(slopes @ error for error in errors)
     down, right = found.shift
     words = (
@@ -185,11 +185,13 @@ def registered(
         f"{right:+.4g} pixels to the right and {down:+.4g} down (noise of {settled.sigma:.2g} "
         f"levels against {begun[0].sigma:.2g} before)"
     )
-    picture, objection = picture.with_mask(best), ""
+    picture, objection = picture.with_mask(best.mask), ""
     if not found.whole and settled.sigma > WITHOUT_EDGES:
         words += RESIZED
-        picture = dataclasses.replace(picture, texel_variance=edge_variance(best))
-        if settled.sigma > max(LOST_LEVELS, LOST_SHARE * begun[0].sigma):
+        known = best.variance is not None
+        variance = best.variance if known else edge_variance(best.mask)
+        picture = dataclasses.replace(picture, texel_variance=variance)
+        if not known and settled.sigma > max(LOST_LEVELS, LOST_SHARE * begun[0].sigma):
             objection = LOST.format(settled.sigma, begun[0].sigma)
     return Registered(picture, Remark(words, "register"), shifts, objection)
 

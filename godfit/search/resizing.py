@@ -62,7 +62,15 @@ KERNELS: dict[str, tuple[Kernel, float]] = {
 picture's pixels each take as many more of the larger's."""
 
 
-def before_resize(mask: np.ndarray, size: tuple[int, int]) -> list[np.ndarray]:
+class Before(NamedTuple):
+    """A ``mask`` (h, w, ...) as it was before a resize, and the ``variance`` of its texels, None
+    where nothing is known of it."""
+
+    mask: np.ndarray
+    variance: np.ndarray | None = None
+
+
+def before_resize(mask: np.ndarray, size: tuple[int, int]) -> list[Before]:
     """The ``mask`` (H, W, ...) as it was at ``size`` (h, w), if it was resized from that by each of
     ``KERNELS``, and each of these in few colours where it has few. Empty where it has that size."""
     if mask.shape[:2] == size:
@@ -74,9 +82,16 @@ def before_resize(mask: np.ndarray, size: tuple[int, int]) -> list[np.ndarray]:
         mask = mask.clip(0, 1)
         return np.round(mask * LEVELS) / LEVELS if whole_bytes else mask
 
-    kinds = [allowed] if values is None else [allowed, lambda mask: snapped(mask, values)]
-    resizes = [_Resize.of(size, mask.shape[:2], name) for name in KERNELS]
-    return [resize.undone(mask, kind).astype(np.float32) for resize in resizes for kind in kinds]
+    found = []
+    for name in KERNELS:
+        resize = _Resize.of(size, mask.shape[:2], name)
+        grey = resize.undone(mask, allowed).astype(np.float32)
+        found.append(Before(grey))
+        if values is not None:
+            few = resize.undone(mask, partial(snapped, values=values)).astype(np.float32)
+            # What the resize left undetermined lies between two colours.
+            found.append(Before(few, (few - grey) ** 2))
+    return found
 
 
 class _Resize(NamedTuple):

@@ -47,7 +47,7 @@ def test_weights_are_those_of_an_image_program(name, size):
 def test_a_mask_in_two_colours_is_found_again(name, size):
     mask = _shapes((0, 255))
     resized = np.float32(_resized(mask, size, name)) / 255
-    errors = [np.abs(before * 255 - mask) for before in before_resize(resized, SIZE)]
+    errors = [np.abs(one.mask * 255 - mask) for one in before_resize(resized, SIZE)]
     # A box makes nothing grey, and a smaller picture lacks a row and a column.
     lost = 0.02 if (name, size) == ("box", SMALLER) else 0
     assert min((error > 0).mean() for error in errors) <= lost
@@ -58,9 +58,22 @@ def test_a_mask_in_all_colours_is_nearly_found_again(channels):
     rng = np.random.default_rng(1)
     mask = rng.integers(0, 256, (*SIZE, *channels), np.uint8)
     resized = np.float32(_resized(mask, LARGER, "bilinear")) / 255
-    error = min(np.sqrt(((z * 255 - mask) ** 2).mean()) for z in before_resize(resized, SIZE))
+    found = [one.mask * 255 for one in before_resize(resized, SIZE)]
+    error = min(np.sqrt(((one - mask) ** 2).mean()) for one in found)
     # Halfway between two pixels, what alternates is lost.
     assert error < 6
+
+
+def test_what_was_clipped_is_in_doubt():
+    """Beside white, a kernel that overshoots leaves black whatever dark colour was there."""
+    mask = _shapes((0, 20, 255))
+    resized = np.float32(_resized(mask, LARGER, "bicubic")) / 255
+    one = before_resize(resized, SIZE)[list(KERNELS).index("bicubic") * 2 + 1]
+    assert one.variance is not None
+    wrong = np.abs(one.mask * 255 - mask) > 1
+    assert wrong.mean() < 0.02
+    assert np.median(np.sqrt(one.variance[wrong]) * 255) > 2
+    assert np.median(one.variance[~wrong]) < (1 / 255) ** 2
 
 
 def test_a_mask_of_its_size_is_as_it_was():
