@@ -5,8 +5,9 @@ import io
 import numpy as np
 import pytest
 from PIL import Image
+from scipy import fft
 
-from godfit.io.jpeg import compressed, settings_of
+from godfit.io.jpeg import DCT, compressed, settings_of
 from tests.support import random_targets
 
 SIZE = 128
@@ -37,3 +38,9 @@ def test_other_tables_are_not_taken_for_known_ones():
     file = io.BytesIO()
     Image.fromarray(coloured(0)[..., 0].astype(np.uint8)).save(file, "JPEG", qtables=[table])
     assert settings_of(np.asarray(Image.open(file), np.float32)[..., None]) is None
+
+
+def test_the_cosine_transform_is_scipys():
+    block = np.random.default_rng(0).random((8, 8))
+    expected = np.asarray(fft.dctn(block, norm="ortho"))
+    np.testing.assert_allclose(DCT @ block @ DCT.T, expected, atol=1e-14)
