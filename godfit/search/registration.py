@@ -22,6 +22,7 @@ import numpy as np
 
 from godfit.errors import InputError, Remark
 from godfit.inference.allowances.mask_rounding import edge_variance
+from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.observation import Picture
 from godfit.inference.problem import SEARCH_PIXELS, Problem
 from godfit.inference.settle import Settled, settle
@@ -46,7 +47,7 @@ WHOLE = 0.05
 """Pixels within which a map is taken as a shift by whole pixels, where that explains no less."""
 
 WITHOUT_EDGES = 0.01
-"""Noise in levels up to which a resized mask was restored: its edges then leave nothing."""
+"""Noise in levels up to which a grey mask was restored: its edges then leave nothing."""
 RESIZED = "; a resize made the mask's edges grey, and errors allow for what they were"
 """Words after the note where more is left."""
 LOST_LEVELS, LOST_SHARE = 1.0, 0.25
@@ -186,9 +187,10 @@ def registered(
         f"levels against {begun[0].sigma:.2g} before)"
     )
     picture, objection = picture.with_mask(best.mask), ""
-    if not found.whole and settled.sigma > WITHOUT_EDGES:
+    # A mask in few colours is whole again or not; what is left of it is less than a wrong density.
+    known = best.variance is not None
+    if not found.whole and settled.sigma > (WITHIN_ROUNDING if known else WITHOUT_EDGES):
         words += RESIZED
-        known = best.variance is not None
         variance = best.variance if known else edge_variance(best.mask)
         picture = dataclasses.replace(picture, texel_variance=variance)
         if not known and settled.sigma > max(LOST_LEVELS, LOST_SHARE * begun[0].sigma):

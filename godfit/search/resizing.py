@@ -72,7 +72,7 @@ class Before(NamedTuple):
 
 def before_resize(mask: np.ndarray, size: tuple[int, int]) -> list[Before]:
     """The ``mask`` (H, W, ...) as it was at ``size`` (h, w), if it was resized from that by each of
-    ``KERNELS``, and each of these in few colours where it has few. Empty where it has that size."""
+    ``KERNELS``, in few colours first where it has few. Empty where it has that size."""
     if mask.shape[:2] == size:
         return []
     whole_bytes = np.abs(mask * LEVELS - np.round(mask * LEVELS)).max() < SAME_BYTE
@@ -86,11 +86,11 @@ def before_resize(mask: np.ndarray, size: tuple[int, int]) -> list[Before]:
     for name in KERNELS:
         resize = _Resize.of(size, mask.shape[:2], name)
         grey = resize.undone(mask, allowed).astype(np.float32)
-        found.append(Before(grey))
         if values is not None:
             few = resize.undone(mask, partial(snapped, values=values)).astype(np.float32)
             # What the resize left undetermined lies between two colours.
             found.append(Before(few, (few - grey) ** 2))
+        found.append(Before(grey))
     return found
 
 
