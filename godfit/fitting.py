@@ -205,7 +205,8 @@ def problem(target: Source, **options: Any) -> Problem:
 
 
 def _seconds_since(began: float) -> dict[str, float]:
-    """Seconds since then (``time.perf_counter``) with compilation and without."""
+    """Seconds since ``began`` (``time.perf_counter``): those in which something was compiled, and
+    the others."""
     compiling = compile_seconds(began)
     return {"compile": compiling, "solve": time.perf_counter() - began - compiling}
 

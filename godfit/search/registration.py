@@ -187,7 +187,8 @@ def registered(
         f"levels against {begun[0].sigma:.2g} before)"
     )
     picture, objection = picture.with_mask(best.mask), ""
-    # A mask in few colours is whole again or not; what is left of it is less than a wrong density.
+    # A mask in few colours that leaves no more than rounding hides is whole: the rest is a density
+    # that is not right yet.
     known = best.variance is not None
     if not found.whole and settled.sigma > (WITHIN_ROUNDING if known else WITHOUT_EDGES):
         words += RESIZED

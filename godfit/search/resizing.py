@@ -25,7 +25,6 @@ SAME_BYTE = 1e-3
 PRIOR = 1e-5
 """Variance of a resized mask's rounding to bytes, as a share of that of a mask's values: 1/12 level
 squared of a hundred."""
-
 ROUNDS = 4
 """Corrections of what was undone, for what has values that a mask has."""
 
@@ -47,7 +46,7 @@ def _lanczos(x: np.ndarray) -> np.ndarray:
 
 
 def _box(x: np.ndarray) -> np.ndarray:
-    """Of a mask that is enlarged, the nearest neighbour."""
+    """The mean of the pixels within; the nearest neighbour, where a mask is enlarged."""
     return ((x > -0.5) & (x <= 0.5)).astype(float)
 
 
