@@ -26,11 +26,7 @@ os.environ["GODFIT_CACHE"] = (
     else tempfile.mkdtemp(prefix="godfit-")
 )
 
-import jax
 import pytest
-from jaxtyping import install_import_hook
-
-from godfit.runtime.cache import enable_jax_cache
 
 if "PYTEST_XDIST_WORKER" not in os.environ:
     atexit.register(shutil.rmtree, os.environ["GODFIT_CACHE"], ignore_errors=True)
@@ -45,12 +41,14 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
     )
     if asked.returncode == 0:
         os.environ["XLA_FLAGS"] = flags
-# Tracing makes many objects, few of them garbage: looked through less often, a test that compiles
-# for a minute takes 7% less.
-gc.set_threshold(100_000, 10, 10)
-jax.config.update("jax_enable_x64", True)
-jax.config.update("jax_numpy_rank_promotion", "raise")
-enable_jax_cache()
+
+
+def pytest_configure(config):
+    """Everything that tests run in is made where they run: a process that only starts others for
+    them would load JAX and the package for nothing."""
+    if hasattr(config, "workerinput") or not config.getoption("numprocesses", None):
+        prepare()
+
 
 # What numba compiles cannot be wrapped: it is loaded first, and all else once more.
 COMPILED = (
@@ -78,20 +76,6 @@ COMPILED = (
     "godfit.runtime.call_frame",
     "godfit.runtime.machine_code",
 )
-compiled = {name: importlib.import_module(name) for name in COMPILED}
-# In the folder of the whole run, and not in that of the test that is the first to call a kernel.
-compiled["godfit.runtime.machine_code"]._folder()
-for name in [n for n in sys.modules if n.split(".")[0] == "godfit"]:
-    del sys.modules[name]
-sys.modules |= compiled
-# Before any test module imports godfit: the hook rewrites modules as they are loaded.
-install_import_hook("godfit", "beartype.beartype")
-# A worker's heap is large, and giving it back after every program is compiled takes 1% of the time.
-importlib.import_module("godfit.runtime.malloc").TRIM_AFTER_SECONDS = math.inf
-# What is loaded by now stays, and need not be looked through either.
-gc.freeze()
-# What a command prints must not depend on the machine's speed.
-importlib.import_module("godfit.commands.progress").QUIET_SECONDS = threading.TIMEOUT_MAX
 
 
 def validated(make):
@@ -109,10 +93,37 @@ def validated(make):
     return made
 
 
-# Every fit.json of the tests, those of clips as well.
-for module, name in (("result", "fit_record"), ("clip", "_record")):
-    report = importlib.import_module(f"godfit.report.{module}")
-    setattr(report, name, validated(getattr(report, name)))
+def prepare():
+    """JAX and godfit as every test has them."""
+    import jax
+    from jaxtyping import install_import_hook
+
+    from godfit.runtime.cache import enable_jax_cache
+
+    # Tracing makes many objects, few of them garbage: looked through less often, a test that
+    # compiles for a minute takes 7% less.
+    gc.set_threshold(100_000, 10, 10)
+    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_numpy_rank_promotion", "raise")
+    enable_jax_cache()
+    compiled = {name: importlib.import_module(name) for name in COMPILED}
+    # In the folder of the whole run, and not in that of the first test that calls a kernel.
+    compiled["godfit.runtime.machine_code"]._folder()
+    for name in [n for n in sys.modules if n.split(".")[0] == "godfit"]:
+        del sys.modules[name]
+    sys.modules |= compiled
+    # Before any test module imports godfit: the hook rewrites modules as they are loaded.
+    install_import_hook("godfit", "beartype.beartype")
+    # A worker's heap is large, and giving it back after every compilation takes 1% of the time.
+    importlib.import_module("godfit.runtime.malloc").TRIM_AFTER_SECONDS = math.inf
+    # What is loaded by now stays, and need not be looked through either.
+    gc.freeze()
+    # What a command prints must not depend on the machine's speed.
+    importlib.import_module("godfit.commands.progress").QUIET_SECONDS = threading.TIMEOUT_MAX
+    # Every fit.json of the tests, those of clips as well.
+    for module, name in (("result", "fit_record"), ("clip", "_record")):
+        report = importlib.import_module(f"godfit.report.{module}")
+        setattr(report, name, validated(getattr(report, name)))
 
 
 # Files that take long, longest first: in the order of their names, or of how many tests they hold,
@@ -172,15 +183,15 @@ SLOW = (
 
 def pytest_collection_modifyitems(items):
     tests = Path(__file__).parent
-    slow = [(tests / place, test) for place, _, test in (name.partition("::") for name in SLOW)]
+    slow = {(tests / place, test) for place, _, test in (name.partition("::") for name in SLOW)}
     absent = [str(path) for path, _ in slow if not path.exists()]
     if absent:
         raise pytest.UsageError(f"SLOW: expected files or folders of tests, got {absent}")
+    whole = {path for path, test in slow if not test}
+    slow_files = {path for path in {item.path for item in items} if whole & {path, *path.parents}}
     for item in items:
-        for path, test in slow:
-            whole = not test and path in (item.path, *item.path.parents)
-            if whole or (path == item.path and item.originalname == test):
-                item.add_marker(pytest.mark.slow)
+        if item.path in slow_files or (item.path, item.originalname) in slow:
+            item.add_marker(pytest.mark.slow)
     place = {tests / f"{name}.py": i for i, name in enumerate(LONG)}
     missing = [str(path) for path in place if not path.is_file()]
     if missing:
@@ -211,7 +222,7 @@ def programs(request):
     yield
     cache.disable_program_cache()
     if resident() > MOST:
-        jax.clear_caches()
+        importlib.import_module("jax").clear_caches()
 
 
 # Rooms of which no function that a test replaces is part of a compiled program: none is left
@@ -242,5 +253,7 @@ def monkeypatch():
 @pytest.fixture
 def single_precision():
     """float32, as the program runs: what the fit as a whole is made for."""
+    import jax
+
     with jax.enable_x64(False):
         yield

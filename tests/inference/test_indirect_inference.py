@@ -65,7 +65,13 @@ def test_jittered_taps_are_fitted_by_their_mean_and_noise():
     assert np.linalg.norm(off(result)) < 0.5 * np.linalg.norm(off(naive))
 
 
-def test_a_wrong_model_is_not_excused_by_compression():
+def test_a_shifted_mask_is_named_and_not_excused_by_compression():
+    """The other defects in experiments/stability/diagnostics.py: each asks for minutes of
+    compiling."""
     mask = stability.mask_of(SIZE, seed=3)
     result = stability.fit(as_jpeg(mask, 75), np.roll(mask, (3, -2), (0, 1)), pass_scale=1.0)
     assert not result.converged
+    assert not result.simulated
+    said = [w for w in result.warnings if "shifted" in w]
+    assert len(said) == 1, result.warnings
+    assert "moved 2 pixels to the right and -3 down" in said[0]

@@ -107,10 +107,14 @@ def test_posterior_agrees_with_the_profile(noisy):
     assert drawn.divergent == 0
     for name in ("decay", "light_x"):
         low, high = profile(noisy, name).params[name].interval
-        a, b = with_posterior(noisy, drawn).params[name].posterior
-        # So many draws know a quantile to 3% of the width, as a standard error.
-        assert (b - a) / (high - low) == pytest.approx(1, abs=0.12)
-        assert abs(a - low) < 0.1 * (high - low)
+        draws = drawn.draws[:, drawn.names.index(name)]
+        # So many draws know a standard deviation to 3%.
+        assert np.std(draws) == pytest.approx((high - low) / 3.92, rel=0.12)
+        assert np.mean(draws) == pytest.approx((high + low) / 2, abs=0.05 * (high - low))
+        ends = with_posterior(noisy, drawn).params[name].posterior
+        np.testing.assert_allclose(
+            [np.mean(draws < end) for end in ends], [0.025, 0.975], atol=0.01
+        )
     assert np.mean(drawn.noise_levels) == pytest.approx(1, abs=0.05)
 
 
