@@ -9,7 +9,6 @@ it. Their interval is therefore widened: all of them together are then as likely
 from __future__ import annotations
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from godfit.inference.allowances.arithmetic import with_arithmetic
@@ -18,6 +17,7 @@ from godfit.inference.observation import Observation
 from godfit.inference.problem import Problem
 from godfit.inference.settle import Settled, settle
 from godfit.inference.solver import Tangent, tangent_at
+from godfit.runtime.device import on_device
 
 REPEATED_VALUES = 4
 """Equal values that are no coincidence."""
@@ -53,7 +53,7 @@ def relieved(observation: Observation, prediction: np.ndarray, sigma: float) -> 
     wider = -noise[near] * ndtri(-np.expm1(-np.log(2) / count)).astype(np.float32)
     lo[near] -= wider
     hi[near] += wider
-    return eqx.tree_at(lambda s: (s.lo, s.hi), observation, (jnp.asarray(lo), jnp.asarray(hi)))
+    return eqx.tree_at(lambda s: (s.lo, s.hi), observation, (on_device(lo), on_device(hi)))
 
 
 def counted_once(

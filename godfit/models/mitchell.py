@@ -18,6 +18,7 @@ from godfit.io.arrays import as_light
 from godfit.models.base import FAINTEST, AbstractModel, Vector
 from godfit.models.coordinates import DENSITY, EXPOSURE, GAIN, KAPPA, SCATTERING_COUNT
 from godfit.runtime.device import on_device
+from godfit.runtime.program_cache import cached_jit
 from godfit.scattering.conventions import Convention, convention
 from godfit.scattering.parameters import (
     MAX_DENSITY,
@@ -145,10 +146,8 @@ class Mitchell(AbstractModel):
         return dict(zip(self.parameters, numbers, strict=True))
 
     def coordinates(self) -> Float[Array, " p"]:
-        per_ray = self.samples / self.density
-        kappa = -per_ray * jnp.log(jnp.maximum(self.decay, TINY_DECAY))
-        gain = self.exposure * self.weight * per_ray
-        return jnp.stack([self.exposure, kappa, self.density, gain, *self.light.reshape(-1)])
+        scattering = (self.exposure, self.decay, self.density, self.weight)
+        return _coordinates(*scattering, self.light, self.samples)
 
     def moved(self, coordinates: Vector, held: Vector | None = None) -> Mitchell:
         if held is None:
@@ -357,6 +356,13 @@ class Mitchell(AbstractModel):
             mean = light.mean(-1, keepdims=True) if light.ndim == background.ndim > 1 else light
             return background + self.exposure * mean * (light - background)
         return self.convention.background_gain * background + light
+
+
+@cached_jit
+def _coordinates(exposure, decay, density, weight, light, samples):
+    per_ray = samples / density
+    kappa = -per_ray * jnp.log(jnp.maximum(decay, TINY_DECAY))
+    return jnp.stack([exposure, kappa, density, exposure * weight * per_ray, *light.reshape(-1)])
 
 
 def _raised(image, power):

@@ -31,6 +31,7 @@ from godfit.io.transfer import TRANSFERS, checked_transfer
 from godfit.runtime.guest import own_settings
 from godfit.runtime.host_state import warnings_kept
 from godfit.runtime.memory import check_memory
+from godfit.runtime.program_cache import cached_jit
 from godfit.scattering.conventions import AUTO, convention
 from godfit.scattering.parameters import SCATTERING as PARAMETERS
 from godfit.scenes import mesh
@@ -110,9 +111,7 @@ class Object(eqx.Module):
 
     def world(self) -> Float[Array, "v 3"]:
         """The vertices in the world."""
-        x, y, z = jnp.deg2rad(self.rotation)
-        rotation = _rotation(x, 1, 2) @ _rotation(y, 2, 0) @ _rotation(z, 0, 1)
-        return self.position[None] + (self.scale * self.vertices) @ rotation.T
+        return _posed(self.vertices, self.position, self.rotation, self.scale)
 
 
 class Shading(NamedTuple):
@@ -211,6 +210,13 @@ def _rotation(angle: Float[Array, ""], i: int, j: int) -> Float[Array, "3 3"]:
     rows[i][i], rows[i][j], rows[j][i], rows[j][j] = c, -s, s, c
     # A scatter (``.at[].set``) takes long to compile, and every object has three rotations.
     return jnp.stack([jnp.stack(row) for row in rows])
+
+
+@cached_jit
+def _posed(vertices, position, rotation, scale):
+    x, y, z = jnp.deg2rad(rotation)
+    turned = _rotation(x, 1, 2) @ _rotation(y, 2, 0) @ _rotation(z, 0, 1)
+    return position[None] + (scale * vertices) @ turned.T
 
 
 @warnings_kept()

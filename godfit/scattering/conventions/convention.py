@@ -8,9 +8,11 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from godfit.runtime.device import on_device
 from godfit.scattering.parameters import MAX_DENSITY
 from godfit.scattering.taps import Count, Scalar, Taps, as_count
 
@@ -116,16 +118,31 @@ class Convention:
             return tuple(Taps(share, share, 1.0, part * unit, count) for part in self.blurs)
         decay = self.absent.get("decay", decay)
         weight = self.absent.get("weight", weight)
+        numbers = exposure, decay, density, weight
+        if any(isinstance(number, Tracer) for number in (*numbers, samples)):
+            exposure, decay = jnp.asarray(exposure), jnp.asarray(decay)
+            own, first, ratio, step = self._numbers(exposure, decay, density, weight, samples)
+        else:
+            # In NumPy: outside of a program, each operation of JAX's would be compiled by itself.
+            kind = jnp.result_type(float)
+            with np.errstate(divide="ignore"):
+                found = self._numbers(*(np.asarray(number, kind) for number in numbers), samples)
+            own, first, ratio, step = (on_device(number, kind) for number in found)
+        count = as_count(self.count(samples))
+        return (Taps(own, first, ratio, step, count, lag=self.lag),)
+
+    def _numbers(self, exposure, decay, density, weight, samples):
+        """The own weight, the first one, the ratio and the step of a convention of one pass."""
         count = self.count(samples)
-        scale = self.gain * jnp.asarray(exposure)
+        scale = self.gain * exposure
         if self.averaged:
             scale = scale / samples
         if self.saturated:
             scale = scale / (1 - self.threshold + scale * weight * self.weights(decay, count))
-        first = scale * weight * jnp.asarray(decay) ** (1 - self.order)
+        first = scale * weight * decay ** (1 - self.order)
         own = self.own * scale if self.own_scaled else self.own
         step = density / (samples - self.step_drop)
-        return (Taps(own, first, decay, step, as_count(count), lag=self.lag),)
+        return own, first, decay, step
 
     def count(self, samples: Any) -> Any:
         """The number of taps for a number of samples, which may be traced."""

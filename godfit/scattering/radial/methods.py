@@ -7,16 +7,19 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from godfit.errors import InputError
 from godfit.io.arrays import as_light
+from godfit.runtime.device import on_device
+from godfit.runtime.program_cache import cached_jit
 from godfit.scattering.radial.exact import EXACT, Method, fastest
 from godfit.scattering.radial.gauss import gauss
 from godfit.scattering.radial.low_resolution import low_resolution
 from godfit.scattering.radial.merged_taps import merged
 from godfit.scattering.radial.polar import polar
-from godfit.scattering.taps import Taps
+from godfit.scattering.taps import Taps, TracedCount
 
 METHODS: dict[str, Method] = EXACT | {
     **{f"merged/{m}": functools.partial(merged, m=m) for m in (2, 4, 8)},
@@ -64,13 +67,24 @@ def radial_sum(
         method = fastest(taps)
     if method not in METHODS:
         raise ValueError(f"method: expected auto or one of {', '.join(METHODS)}, got '{method}'")
-    evaluate = METHODS[method]
     mask = as_light(mask, "mask")
     if mask.ndim not in (2, 3) or 0 in mask.shape:
         raise InputError(f"mask: expected shape (h, w) or (h, w, channels), got {mask.shape}")
-    light = jnp.asarray(light, mask.dtype)
-    taps = jax.tree.map(lambda z: jnp.asarray(z, mask.dtype), taps)
+    light = on_device(light, mask.dtype)
+    taps = jax.tree.map(lambda z: on_device(z, mask.dtype), taps)
+    traced = isinstance(taps.count, TracedCount) or any(
+        isinstance(leaf, Tracer) for leaf in jax.tree.leaves((mask, light, taps, at))
+    )
+    return (_by_channel if traced else _compiled)(method, mask, light, taps, at)
+
+
+def _by_channel(method, mask, light, taps, at):
+    evaluate = METHODS[method]
     if mask.ndim == 2:
         return evaluate(mask, light, taps, at)
     channels = [evaluate(mask[..., c], light, taps, at) for c in range(mask.shape[-1])]
     return jnp.stack(channels, axis=-1)
+
+
+_compiled = cached_jit(_by_channel)
+"""As one program: outside of one, each of its operations would be compiled by itself."""
