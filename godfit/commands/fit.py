@@ -31,6 +31,7 @@ from godfit.commands.study import (
 from godfit.io.frames import is_video
 from godfit.io.regular_files import read_regular
 from godfit.io.sidecar import keep_one_source
+from godfit.report.drawing import draw_ahead
 from godfit.runtime.interrupts import INTERRUPTED, requested
 
 if TYPE_CHECKING:
@@ -136,11 +137,12 @@ def fit(
         raise click.UsageError(f"{wanted}: expected --mask, --scene or --canvas with it, got none")
     for name in study.options["free"] if "scene" not in study.options else ():
         raise click.UsageError(f"--free {name}: expected --scene SCENE.toml with it, got a mask")
+    ahead = draw_ahead()
     with working(run) as progress:
         file = study.options.get("scene")
         find_shader(study.options)
         # Before the imports: compiled programs are loaded meanwhile.
-        prepare(study.options, run, progress, study.image.values.shape)
+        prepare(study.options, run, progress, study.image.values.shape, draws=not ahead)
         from godfit.fitting import fit
         from godfit.studies.posterior import require
 

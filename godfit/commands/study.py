@@ -171,11 +171,15 @@ def working(run: Run) -> Iterator[Progress]:
 
 
 def prepare(
-    options: dict[str, Any], run: Run, progress: Progress, size: tuple[int, ...] = ()
+    options: dict[str, Any],
+    run: Run,
+    progress: Progress,
+    size: tuple[int, ...] = (),
+    draws: bool = True,
 ) -> None:
     """Replace the scene's file by the scene, and warn of defaults that are assumed. ``size`` is
-    the target's: each size has programs of its own. Raises InputError for a size whose fit needs
-    more memory than there is."""
+    the target's: each size has programs of its own. ``draws`` is whether this process draws a
+    figure. Raises InputError for a size whose fit needs more memory than there is."""
     from godfit.runtime.memory import FIT_BYTES, check_memory
     from godfit.runtime.program_cache import expect_programs
 
@@ -193,7 +197,7 @@ def prepare(
     settings = {name: options[name] for name in sorted(options) if name in PROGRAM_SETTINGS}
     run_key = repr((sys.argv[1:2], size, settings))
     expect_programs(run_key)
-    threading.Thread(target=_load_ahead, args=(kernels, run_key), daemon=True).start()
+    threading.Thread(target=_load_ahead, args=(kernels, run_key, draws), daemon=True).start()
 
 
 def warn_of_defaults(options: Mapping[str, Any]) -> None:
@@ -210,7 +214,7 @@ def warn_of_defaults(options: Mapping[str, Any]) -> None:
         warn(f"{shader.name} publishes no default: {shader.samples} samples assumed")
 
 
-def _load_ahead(kernels: bool, run_key: str) -> None:
+def _load_ahead(kernels: bool, run_key: str, draws: bool) -> None:
     from godfit.runtime.program_cache import preload_programs
 
     if kernels:
@@ -218,8 +222,9 @@ def _load_ahead(kernels: bool, run_key: str) -> None:
 
         compile_fastest()
     preload_programs(run_key)
-    import matplotlib.backends.backend_agg
-    import matplotlib.figure  # noqa: F401
+    if draws:
+        import matplotlib.backends.backend_agg
+        import matplotlib.figure  # noqa: F401
 
 
 def command_line() -> str:

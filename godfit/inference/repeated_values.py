@@ -8,6 +8,9 @@ it. Their interval is therefore widened: all of them together are then as likely
 
 from __future__ import annotations
 
+import math
+from statistics import NormalDist
+
 import equinox as eqx
 import numpy as np
 
@@ -48,9 +51,10 @@ def relieved(observation: Observation, prediction: np.ndarray, sigma: float) -> 
     near, count = near[count >= REPEATED_VALUES], count[count >= REPEATED_VALUES]
     if not len(near):
         return observation
-    from scipy.special import ndtri
-
-    wider = -noise[near] * ndtri(-np.expm1(-np.log(2) / count)).astype(np.float32)
+    # Python's own: to import scipy's takes a fiftieth of a short command.
+    numbers, place = np.unique(count, return_inverse=True)
+    ends = [NormalDist().inv_cdf(-math.expm1(-math.log(2) / number)) for number in numbers]
+    wider = -noise[near] * np.array(ends, np.float32)[place]
     lo[near] -= wider
     hi[near] += wider
     return eqx.tree_at(lambda s: (s.lo, s.hi), observation, (on_device(lo), on_device(hi)))

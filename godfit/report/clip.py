@@ -82,14 +82,14 @@ class ClipResult:
     def plot(self) -> Figure:
         """A matplotlib figure: the light's path, and the shader of each frame alone."""
         with own_style():
-            return _plot(self)
+            return _sheet(self).figure()
 
     def save(self, folder: str | os.PathLike[str], command: str = "", page: bool = True) -> None:
         """Write fit.json, fit.png and, with ``page``, report.html into ``folder``. Raises
         OSError, and warns of pictures that fail."""
         record = ("fit.json", self.record(command))
         files = {PAGE: page_writer(lambda: clip_page(self).html())} if page else {}
-        write_result(Path(folder), record, ("fit.png", self.plot), files)
+        write_result(Path(folder), record, ("fit.png", lambda: _sheet(self)), files)
 
 
 def _summary(result: ClipResult) -> str:
@@ -143,7 +143,7 @@ def _record(result: ClipResult, command: str) -> dict[str, Any]:
     }
 
 
-def _plot(result: ClipResult) -> Figure:
+def _sheet(result: ClipResult) -> Sheet:
     """The light's path over the first frame, and each parameter as fitted to every frame alone,
     with a band for all of them together."""
     every = result.params | result.combined
@@ -166,7 +166,7 @@ def _plot(result: ClipResult) -> Figure:
         *([] if result.converged else [result.message]),
     ]
     blocks.append(Words(tuple((str(text), ALARM) for text in doubts)))
-    return Sheet(title, result.converged, tuple(blocks)).figure()
+    return Sheet(title, result.converged, tuple(blocks))
 
 
 def _chart(result: ClipResult, name: str, whole: Estimate) -> Callable[[Any], Any]:

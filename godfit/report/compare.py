@@ -106,14 +106,14 @@ class Comparison:
     def plot(self) -> Figure:
         """The target and every fit above, what each leaves below."""
         with own_style():
-            return _plot(self)
+            return _sheet(self).figure()
 
     def save(self, folder: str | os.PathLike[str], command: str = "", page: bool = True) -> None:
         """Write compare.json, compare.png and, with ``page``, report.html into ``folder``. Raises
         OSError, and warns of pictures that fail."""
         record = ("compare.json", self.record(command))
         files = {PAGE: page_writer(lambda: compare_page(self).html())} if page else {}
-        write_result(Path(folder), record, ("compare.png", self.plot), files)
+        write_result(Path(folder), record, ("compare.png", lambda: _sheet(self)), files)
 
 
 def _record(found: Comparison, command: str) -> dict[str, Any]:
@@ -133,7 +133,7 @@ def _record(found: Comparison, command: str) -> dict[str, Any]:
             "command": command}  # fmt: skip
 
 
-def _plot(found: Comparison) -> Figure:
+def _sheet(found: Comparison) -> Sheet:
     """The target and every fit above, what each leaves below."""
     height, width = found.target.shape[:2]
     cut = (slice(None, None, -(-max(height, width) // PANEL_PIXELS)),) * 2
@@ -153,4 +153,4 @@ def _plot(found: Comparison) -> Figure:
         below.append(Panel(title, picture(residual, limit=limit), words, limit))
     aspect = height / width
     blocks = Grid(tuple(above), aspect), Grid(tuple(below), aspect)
-    return Sheet(found.sentence, found.best.result.converged, blocks).figure()
+    return Sheet(found.sentence, found.best.result.converged, blocks)

@@ -9,13 +9,11 @@ import numpy as np
 
 from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.io.image import LEVELS
-from godfit.report.sheet import ALARM, INK, QUIET, Grid, Line, Panel, Sheet, Words, picture
+from godfit.report.sheet import ALARM, INK, QUIET, Grid, Line, Panel, Sheet, Words, picture, shares
 from godfit.report.text import given, half_sentence, rows
 from godfit.scattering.parameters import is_light
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from godfit.report.result import FitResult
 
 PANEL_PIXELS = 1024
@@ -26,11 +24,9 @@ LEAST_LIMIT = 0.5
 """Levels at which the residual's colours end, at least: less is rounding."""
 SOURCES = {"density": "#e66100", "decay": "#1a85ff", "light": "#2ca02c"}
 """The colours of what the map of information shows."""
-DIMMED = 0.35
-"""Brightness of the target under the map of information, so that its colours are visible."""
 
 
-def plot(result: FitResult) -> Figure:
+def sheet_of(result: FitResult) -> Sheet:
     """Target, mask, fitted and residual, the light marked, the parameters below."""
     image, height, width = result.picture, *result.picture.size
     # More pixels than the panels have would only take memory.
@@ -55,14 +51,14 @@ def plot(result: FitResult) -> Figure:
         captions = tuple(
             (half_sentence(name, share), SOURCES[name]) for name, share in maps.items()
         )
-        panels.append(Panel("where the numbers come from", _sources(target, maps), captions))
+        panels.append(Panel("where the numbers come from", shares(target, maps, SOURCES), captions))
     state = "converged" if result.converged else "NOT CONVERGED"
     title = (
         f"{result.model.name}, {given(result.model)}: {state}, residual "
         f"{result.rmse_levels:.2f} levels rms"
     )
     blocks = Grid(tuple(panels), height / width), Words(parameter_lines(result.params), mono=True)
-    return Sheet(title, result.converged, (*blocks, Words(_remarks(result)))).figure()
+    return Sheet(title, result.converged, (*blocks, Words(_remarks(result))))
 
 
 def as_shown(image: np.ndarray) -> np.ndarray:
@@ -113,25 +109,6 @@ def by_source(where: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     found = {name: where[name] for name in ("density", "decay") if name in where}
     lights = [share for name, share in where.items() if is_light(name)]
     return found | ({"light": np.mean(lights, 0)} if lights else {})
-
-
-def _sources(target: np.ndarray, maps: Mapping[str, np.ndarray]) -> Any:
-    """What draws the maps over the dimmed target, each in its colour."""
-
-    def draw(axes: Any) -> Any:
-        from matplotlib.colors import to_rgb
-
-        grey = target if target.ndim == 2 else target.mean(-1)
-        whole = {"extent": (0, 1, 0, 1), "aspect": "auto"}
-        axes.imshow(np.clip(grey, 0, 1) * DIMMED, cmap="gray", vmin=0, vmax=1, **whole)
-        # The square root makes the faint parts visible.
-        strength = {n: np.sqrt(share / max(share.max(), 1e-30)) for n, share in maps.items()}
-        colour = sum(s[..., None] * np.array(to_rgb(SOURCES[n])) for n, s in strength.items())
-        alpha = np.max(list(strength.values()), 0)
-        layer = np.clip(np.concatenate([np.asarray(colour), alpha[..., None]], -1), 0, 1)
-        return axes.imshow(layer, interpolation="bilinear", **whole)
-
-    return draw
 
 
 def parameter_lines(params: Mapping[str, Any]) -> tuple[Line, ...]:

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import io
 import json
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from godfit.errors import InputError
-from godfit.report.sheet import DPI, SMALL_ENOUGH
-from godfit.report.style import own_style
+from godfit.report.drawing import png_of
+from godfit.report.sheet import Sheet
 from godfit.runtime.files import atomic_write
 from godfit.runtime.parallel import parallel_map
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 PAGE = "report.html"
 """The page of a result, in its folder."""
@@ -36,7 +31,7 @@ class PictureNotWritten(UserWarning):
 def write_result(
     folder: Path,
     record: tuple[str, Mapping[str, Any]],
-    figure: tuple[str, Callable[[], Figure]],
+    figure: tuple[str, Callable[[], Sheet]],
     images: Mapping[str, Callable[[Path], None]] | None = None,
 ) -> None:
     """Write a result into ``folder``, which is made if need be.
@@ -45,7 +40,7 @@ def write_result(
 
     - `record`: the name of the JSON file and what it holds. It is written first, so that no
       failure of a picture loses the numbers.
-    - `figure`: the name of the PNG file and what draws it.
+    - `figure`: the name of the PNG file and what makes its sheet.
     - `images`: names of further files, each with what writes it to a path.
 
     Each file appears whole or not at all, and other files in the folder stay. Raises OSError where
@@ -58,10 +53,7 @@ def write_result(
     atomic_write(folder / name, text.encode(errors="backslashreplace"))
 
     def draw(path: Path) -> None:
-        drawn = io.BytesIO()
-        with own_style():
-            figure[1]().savefig(drawn, format="png", dpi=DPI, pil_kwargs=SMALL_ENOUGH)
-        atomic_write(path, drawn.getvalue())
+        atomic_write(path, png_of(figure[1]()))
 
     def failure(item: tuple[str, Callable[[Path], None]]) -> PictureNotWritten | None:
         name, write = item

@@ -20,7 +20,7 @@ from godfit.inference.observation import Picture
 from godfit.inference.problem import Problem
 from godfit.io.image import LEVELS, decode, write_image
 from godfit.models.base import AbstractModel
-from godfit.report.figure import plot
+from godfit.report.figure import sheet_of
 from godfit.report.files import PAGE, page_writer, write_result
 from godfit.report.live.data import NOTEBOOK_SIDE, page_data
 from godfit.report.live.page import framed
@@ -147,7 +147,7 @@ class FitResult:
         """A matplotlib figure: target, fitted, residual, parameters. A notebook displays it; its
         ``show()`` opens it elsewhere."""
         with as_guest(), own_style():
-            return plot(self)
+            return sheet_of(self).figure()
 
     def save(self, folder: str | os.PathLike[str], command: str = "", page: bool = True) -> None:
         """Write fit.json, fit.png, render.png, with ``page`` report.html, and mask.png where it was
@@ -166,7 +166,7 @@ class FitResult:
         record = ("fit.json", self.record(command))
         if page:
             images[PAGE] = page_writer(lambda: self.page(command))
-        write_result(Path(folder), record, ("fit.png", self.plot), images)
+        write_result(Path(folder), record, ("fit.png", lambda: sheet_of(self)), images)
 
     def __str__(self) -> str:
         return summary(self)

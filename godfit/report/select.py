@@ -146,14 +146,14 @@ class Selection:
     def plot(self) -> Figure:
         """The target, the residual of every rung, and the criteria over the unknowns."""
         with own_style():
-            return _plot(self)
+            return _sheet(self).figure()
 
     def save(self, folder: str | os.PathLike[str], command: str = "", page: bool = True) -> None:
         """Write select.json, select.png and, with ``page``, report.html into ``folder``. Raises
         OSError, and warns of pictures that fail."""
         record = ("select.json", self.record(command))
         files = {PAGE: page_writer(lambda: select_page(self).html())} if page else {}
-        write_result(Path(folder), record, ("select.png", self.plot), files)
+        write_result(Path(folder), record, ("select.png", lambda: _sheet(self)), files)
 
 
 def _record(found: Selection, command: str) -> dict[str, Any]:
@@ -188,7 +188,7 @@ def _record(found: Selection, command: str) -> dict[str, Any]:
     }
 
 
-def _plot(found: Selection) -> Figure:
+def _sheet(found: Selection) -> Sheet:
     """The target, the residual of every rung, and the criteria over the unknowns."""
     image, rows = found.base.picture, found.rows
     height, width = image.size
@@ -203,7 +203,7 @@ def _plot(found: Selection) -> Figure:
         panels.append(Panel(title, picture(residual, limit=limit), words, limit, strong=strong))
     chart = Panel("BIC above the least, by rung", _chart(found), ticks=True)
     blocks = Grid(tuple(panels), height / width), Grid((chart,), CHART_ASPECT), _rungs(found)
-    return Sheet(found.sentence, found.recommended.like_noise, blocks).figure()
+    return Sheet(found.sentence, found.recommended.like_noise, blocks)
 
 
 def _chart(found: Selection) -> Callable[[Any], Any]:

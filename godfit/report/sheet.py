@@ -8,7 +8,7 @@ draw everything several times, and give up on small panels.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 DPI = 100
 """Pixels an inch of a figure."""
-SMALL_ENOUGH = {"compress_level": 3}
-"""How a figure is compressed: a tenth more bytes than at zlib's usual level 6, in half the time."""
 WIDEST = 13.0
 """Width of a sheet in inches, at most: that of a screen."""
 TALLEST = 8.0
@@ -47,6 +45,8 @@ BAR = 0.12
 """Height of a bar of colours in inches."""
 SIZES = {"title": 12.0, "head": 10.5, "text": 9.0, "mono": 9.0}
 """Sizes of the fonts in points, by use."""
+DIMMED = 0.35
+"""Brightness of a picture under maps, so that their colours are visible."""
 SIGNED = "RdBu_r"
 """Colours of a residual: blue below, red above."""
 INK, ALARM, QUIET = "black", "firebrick", "#444444"
@@ -347,23 +347,47 @@ def picture(image: np.ndarray, lights: np.ndarray | None = None, limit: float = 
     """What draws an image (h, w) or (h, w, 3) of [0, 1] into its panel, or with a ``limit`` levels
     between it and its negative, with the ``lights`` (u, v) marked."""
 
-    def draw(axes: Any) -> Any:
-        shown = axes.imshow(
-            image if limit or image.ndim == 2 else np.clip(image, 0, 1),
-            cmap=SIGNED if limit else "gray",
-            vmin=-limit if limit else 0,
-            vmax=limit or 1,
-            extent=(0, 1, 0, 1),
-            aspect="auto",
-            interpolation="nearest",
-        )
-        for u, v in () if lights is None else lights:
-            mark_light(axes, float(u), float(v))
-        axes.set_xlim(0, 1)
-        axes.set_ylim(0, 1)
-        return shown
+    return functools.partial(_draw_picture, image, lights, limit)
 
-    return draw
+
+def _draw_picture(image: np.ndarray, lights: np.ndarray | None, limit: float, axes: Any) -> Any:
+    shown = axes.imshow(
+        image if limit or image.ndim == 2 else np.clip(image, 0, 1),
+        cmap=SIGNED if limit else "gray",
+        vmin=-limit if limit else 0,
+        vmax=limit or 1,
+        extent=(0, 1, 0, 1),
+        aspect="auto",
+        interpolation="nearest",
+    )
+    for u, v in () if lights is None else lights:
+        mark_light(axes, float(u), float(v))
+    axes.set_xlim(0, 1)
+    axes.set_ylim(0, 1)
+    return shown
+
+
+def shares(
+    image: np.ndarray, maps: Mapping[str, np.ndarray], colours: Mapping[str, str]
+) -> Callable[[Any], Any]:
+    """What draws ``maps`` (rows, columns) over the dimmed ``image``, each in its colour."""
+    return functools.partial(_draw_shares, image, dict(maps), colours)
+
+
+def _draw_shares(
+    image: np.ndarray, maps: Mapping[str, np.ndarray], colours: Mapping[str, str], axes: Any
+) -> Any:
+    from matplotlib.colors import to_rgb
+
+    grey = image if image.ndim == 2 else image.mean(-1)
+    whole = {"extent": (0, 1, 0, 1), "aspect": "auto"}
+    axes.imshow(np.clip(grey, 0, 1) * DIMMED, cmap="gray", vmin=0, vmax=1, **whole)
+    # The square root makes the faint parts visible.
+    strength = {n: np.sqrt(share / max(share.max(), 1e-30)) for n, share in maps.items()}
+    colour = sum(s[..., None] * np.array(to_rgb(colours[n])) for n, s in strength.items())
+    alpha = np.max(list(strength.values()), 0)
+    layer = np.clip(np.concatenate([np.asarray(colour), alpha[..., None]], -1), 0, 1)
+    return axes.imshow(layer, interpolation="bilinear", **whole)
 
 
 def mark_light(axes: Any, u: float, v: float) -> None:

@@ -5,22 +5,18 @@ import threading
 
 import matplotlib
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from godfit.errors import InputError
 from godfit.report.files import PictureNotWritten, write_result
+from godfit.report.sheet import Sheet
 from godfit.report.style import own_style
 
 # The byte E9 as the name of a file, which is no UTF-8.
 RECORD = {"path": "caf\udce9.png", "unit": "±"}
 
 
-def small() -> Figure:
-    figure = Figure(figsize=(1, 1))
-    FigureCanvasAgg(figure)
-    figure.text(0.1, 0.5, "a_b")
-    return figure
+def small() -> Sheet:
+    return Sheet("a_b", True)
 
 
 def broken(*_):

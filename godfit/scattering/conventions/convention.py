@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
@@ -118,21 +118,23 @@ class Convention:
             return tuple(Taps(share, share, 1.0, part * unit, count) for part in self.blurs)
         decay = self.absent.get("decay", decay)
         weight = self.absent.get("weight", weight)
-        numbers = exposure, decay, density, weight
+        numbers: Any = exposure, decay, density, weight
         if any(isinstance(number, Tracer) for number in (*numbers, samples)):
-            exposure, decay = jnp.asarray(exposure), jnp.asarray(decay)
-            own, first, ratio, step = self._numbers(exposure, decay, density, weight, samples)
+            numbers = jnp.asarray(exposure), jnp.asarray(decay), density, weight
+            own, first, ratio, step = self._numbers(numbers, samples)
         else:
             # In NumPy: outside of a program, each operation of JAX's would be compiled by itself.
             kind = jnp.result_type(float)
             with np.errstate(divide="ignore"):
-                found = self._numbers(*(np.asarray(number, kind) for number in numbers), samples)
+                found = self._numbers([np.asarray(number, kind) for number in numbers], samples)
             own, first, ratio, step = (on_device(number, kind) for number in found)
         count = as_count(self.count(samples))
         return (Taps(own, first, ratio, step, count, lag=self.lag),)
 
-    def _numbers(self, exposure, decay, density, weight, samples):
-        """The own weight, the first one, the ratio and the step of a convention of one pass."""
+    def _numbers(self, parameters: Sequence[Any], samples: Any) -> tuple[Any, Any, Any, Any]:
+        """The own weight, the first one, the ratio and the step of a convention of one pass, from
+        exposure, decay, density and weight."""
+        exposure, decay, density, weight = parameters
         count = self.count(samples)
         scale = self.gain * exposure
         if self.averaged:
