@@ -455,7 +455,7 @@ def test_a_fit_is_not_lost_with_its_figure(disc, capsys, monkeypatch):
     def fails(*_):
         raise RuntimeError("latex could not be found")
 
-    monkeypatch.setattr("godfit.report.result.plot", fails)
+    monkeypatch.setattr("godfit.report.result.sheet_of", fails)
     assert main(["fit", str(disc)]) == 0
     shown = capsys.readouterr()
     assert "warning: fit.png was not written: RuntimeError: latex could not be found" in shown.err

@@ -140,7 +140,9 @@ class Convention:
         if self.averaged:
             scale = scale / samples
         if self.saturated:
-            scale = scale / (1 - self.threshold + scale * weight * self.weights(decay, count))
+            scale = scale / (
+                1 - self.threshold + scale * weight * self.weights(jnp.asarray(decay), count)
+            )
         first = scale * weight * decay ** (1 - self.order)
         own = self.own * scale if self.own_scaled else self.own
         step = density / (samples - self.step_drop)
