@@ -114,6 +114,7 @@ def prepare():
     sys.modules |= compiled
     # Before any test module imports godfit: the hook rewrites modules as they are loaded.
     install_import_hook("godfit", "beartype.beartype")
+    importlib.import_module("godfit.runtime.numba_jit")._folder()
     # A worker's heap is large, and giving it back after every compilation takes 1% of the time.
     importlib.import_module("godfit.runtime.malloc").TRIM_AFTER_SECONDS = math.inf
     # What is loaded by now stays, and need not be looked through either.
