@@ -1,7 +1,8 @@
 """A light pass at the pixels of its image, which may be larger than the pass.
 
 A pass of the image's size is used as it is. A smaller one is clamped to [0, 1], as the texture of
-bytes that holds it is, and interpolated bilinearly. A pass of the image's size may read a mask of
+bytes that holds it is, and interpolated bilinearly; so is one that is larger by so little that its
+picture must have been resized. A pass of the image's size may read a mask of
 another size: its taps then lie between the mask's texels, and the mask is interpolated.
 """
 
@@ -24,6 +25,11 @@ POINT_COST = 4
 MIN_PADDED_TEXELS = 1024
 """Texels are padded to a multiple of this number, or of a quarter of the pixels if that is more:
 few different lengths mean that few programs are compiled."""
+
+
+NEARLY = 1.02
+"""Ratio of sides up to which a larger mask is a light pass whose picture was resized. No shader is
+known whose own pass is smaller than its mask by so little."""
 
 
 class Texels(NamedTuple):
@@ -116,8 +122,9 @@ def _upsampled(light_pass, mask, size, pixels):
 
 
 def is_larger(mask: tuple[int, ...], size: tuple[int, int]) -> bool:
-    """Whether a ``mask`` (h, w) has more texels than an image of ``size`` has pixels."""
-    return mask[0] > size[0] or mask[1] > size[1]
+    """Whether a ``mask`` (h, w) has more texels than an image of ``size`` has pixels, by so many
+    that the image was not made smaller with its light pass."""
+    return mask[0] > NEARLY * size[0] or mask[1] > NEARLY * size[1]
 
 
 def _between(pixels, size, low, dtype):

@@ -7,6 +7,8 @@ steps on a few thousand pixels, with the parameters' own steps projected out. A 
 by whole pixels, to within its error, is taken as that: the mask is then cropped and not
 interpolated. A mask that was resized from the target's size is taken as it was before that, where
 this explains no less (``godfit.search.resizing``): interpolated twice, its edges would be grey.
+Where the target was resized instead, the mask is as it was: the light pass has its size, and is
+interpolated as one at a lower resolution.
 
 The light is in the target's frame. Beyond the target's edge the mask's edge there is repeated,
 which is exact for a light on the picture: its rays do not leave the frame.
@@ -28,6 +30,7 @@ from godfit.inference.problem import SEARCH_PIXELS, Problem
 from godfit.inference.settle import Settled, settle
 from godfit.inference.solver import Tangent
 from godfit.inference.strategy import Report, stages, starting_points
+from godfit.scattering.upsample import is_larger
 from godfit.search import multigrid
 from godfit.search.resizing import Before, before_resize
 
@@ -48,6 +51,11 @@ WHOLE = 0.05
 
 WITHOUT_EDGES = 0.01
 """Noise in levels up to which a grey mask was restored: its edges then leave nothing."""
+ANOTHER_SIZE = (
+    "the target was resized from the mask's {}x{} pixels, which are taken as the light pass's "
+    "(noise of {:.2g} levels against {:.2g} under a mask of the target's size)"
+)
+"""The note where the target was resized instead."""
 RESIZED = "; a resize made the mask's edges grey, and errors allow for what they were"
 """Words after the note where more is left."""
 LOST_LEVELS, LOST_SHARE = 1.0, 0.25
@@ -172,6 +180,9 @@ def registered(
     whole = Map(np.ones(2), np.round(found.shift))
     best = Before(found.applied(solver.mask, size))
     exact = [(guesses[0], before) for before in before_resize(solver.mask, size)]
+    if not is_larger(solver.mask.shape[:2], size):
+        # The target, and not the mask, may have been resized: from a light pass of the mask's size.
+        exact.append((guesses[0], Before(solver.mask)))
     if np.abs(whole.corners(size) - corners).max() < WHOLE:
         exact.append((whole, Before(whole.applied(solver.mask, size))))
     tried = [(*one, solver.under(one[1].mask, settled.coordinates)[0]) for one in exact]
@@ -187,6 +198,9 @@ def registered(
         f"levels against {begun[0].sigma:.2g} before)"
     )
     picture, objection = picture.with_mask(best.mask), ""
+    if best.mask.shape[:2] != size:
+        words = ANOTHER_SIZE.format(*sides[::-1], settled.sigma, begun[0].sigma)
+        return Registered(picture, Remark(words, "register"), (), "")
     # A mask in few colours that leaves no more than rounding hides is whole: the rest is a density
     # that is not right yet.
     known = best.variance is not None

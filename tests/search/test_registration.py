@@ -64,6 +64,20 @@ def test_a_mask_that_was_made_smaller_is_fitted_as_it_was_before():
 
 
 @pytest.mark.usefixtures("single_precision")
+def test_a_target_that_was_resized_is_a_light_pass_of_the_masks_size():
+    mask, truth = distortions.frame(2, SIZE - 1)
+    target = random_targets.to_bytes(random_targets.render64(mask / 255, truth))
+    smaller = Image.fromarray(target).resize((SIZE - 2, SIZE - 2), Image.Resampling.BILINEAR)
+    target = np.asarray(smaller)
+    result = godfit.fit(target, mask=mask, shader="dawntime", samples=distortions.SAMPLES)
+    assert result.converged, result.message
+    (note,) = [note for note in result.notes if "resized" in note]
+    assert f"from the mask's {SIZE - 1}x{SIZE - 1} pixels" in note
+    for name, one in result.params.items():
+        assert abs(one.value - truth[name]) < 5 * one.stderr
+
+
+@pytest.mark.usefixtures("single_precision")
 def test_edges_that_a_resize_lost_are_no_converged_fit():
     mask, truth = distortions.frame(2, SIZE - 1)
     target = random_targets.to_bytes(random_targets.render64(mask / 255, truth))
