@@ -2,8 +2,8 @@
 
 A pass of the image's size is used as it is. A smaller one is clamped to [0, 1], as the texture of
 bytes that holds it is, and interpolated bilinearly; so is one that is larger by so little that its
-picture must have been resized. A pass of the image's size may read a mask of
-another size: its taps then lie between the mask's texels, and the mask is interpolated.
+picture must have been resized. A pass of the image's size may read a mask of another size: its taps
+then lie between the mask's texels, and the mask is interpolated.
 """
 
 from __future__ import annotations
