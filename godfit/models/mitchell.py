@@ -315,10 +315,10 @@ class Mitchell(AbstractModel):
 
         - `mask`: (h, w) or (h, w, channels), linear; integers are levels.
         - `background`: the ordinary pass, (H, W) or (H, W, channels), or None for black.
-        - `size`: (H, W) of the image; by default the mask's. A larger mask is read between its
-          texels. A smaller one is a light pass at lower resolution, unless `full_size`: it is
-          rendered at the mask's size, clamped to [0, 1] as its 8-bit texture is, and read
-          bilinearly.
+        - `size`: (H, W) of the image; by default the mask's. A mask that is larger by more than 2%
+          is read between its texels. Another one is a light pass of its own size, unless
+          `full_size`: it is rendered at the mask's size, clamped to [0, 1] as its 8-bit texture
+          is, and read bilinearly.
         - `pixels`: (n,) row-major indices of the pixels wanted; by default all.
         - `texels`: the texels of a smaller light pass that these pixels need. Without it the
           whole light pass is rendered.

@@ -82,8 +82,8 @@ def at_pixels(
 
     - `light_pass`: (mask, at) -> values at columns and rows `at` (n, 2) of the mask, or at every
       pixel where it is None.
-    - `mask`: (h, w) or (h, w, channels), of the size of the light pass, or larger than the image,
-      whose size the light pass then has.
+    - `mask`: (h, w) or (h, w, channels), of the size of the light pass, or larger than the image
+      (`is_larger`), whose size the light pass then has.
     - `size`: (height, width) of the image; None if it is that of the mask.
     - `pixels`: row-major indices (n,) into the image; None for all of them.
     - `texels`: ``Texels.of`` these pixels, if only their texels are to be computed.
