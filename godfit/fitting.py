@@ -516,7 +516,7 @@ def _ready(request: Request) -> Posed:
     objection = ""
     if posed.unregistered is not None:
         moved = registration.registered(problem, posed.unregistered, posed.given, request.report)
-        problem, shifts = problem.replaced(picture=moved.picture), moved.shifts
+        problem, shifts = moved.problem, moved.shifts
         notes, objection = (*notes, moved.note), moved.objection
     return posed._replace(
         problem=problem, notes=notes, opened=always_open, shifts=shifts, objection=objection
@@ -532,7 +532,7 @@ def _rival(request: Request, posed: Posed) -> Callable[[], Problem] | None:
     if posed.unregistered is not None:
         return None
     if picture.pass_size(model) != picture.size:
-        return lambda: posed.problem.replaced(model=dataclasses.replace(model, full_size=True))
+        return lambda: posed.problem.replaced(model=model.with_pass(full_size=True))
     scale = model.convention.pass_scale
     if scale == 1 or picture.mask.shape[:2] != picture.size:
         return None

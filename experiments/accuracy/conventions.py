@@ -3,7 +3,7 @@
     python experiments/accuracy/conventions.py [--seeds FIRST:LAST] [SHADER ...]
 
 Targets are 128x128 bytes, rendered in float64 by loops over each convention's formula, which share
-no code with the fit. What no picture determines is held: see docs/shaders.md.
+no code with the fit. What no picture determines of a convention (docs/shaders.md) is not compared.
 """
 
 from __future__ import annotations

@@ -75,8 +75,10 @@ class Evidence(NamedTuple):
         """The evidence of a picture whose every line is repeated ``repeats`` times, as least
         squares counts it. The roundings of so few different pixels are no random sample, and the
         ends of intervals that they happen to touch would promise far too much."""
-        if repeats <= 1:
-            return self
+        return self if repeats <= 1 else self._of_least_squares(repeats)
+
+    def _of_least_squares(self, repeats: float = 1.0) -> Evidence:
+        """The evidence without what the ends of intervals promise."""
         blunt = self.blunt / repeats
         return self._replace(curvature=blunt, scores=blunt, blunt=blunt, shared=None)
 
@@ -177,7 +179,7 @@ def evidence(settled: Settled, tangent: Tangent, observation: Observation) -> Ev
     if observation.shared_noise is not None and sigma <= EXPLAINED:
         pull = np.concatenate([part[5] for part in parts])
         shared = shared_slopes(tangent.jacobian, pull, observation) / size
-    return Evidence(
+    found = Evidence(
         curvature / size,
         scores / size,
         blunt / size,
@@ -187,6 +189,8 @@ def evidence(settled: Settled, tangent: Tangent, observation: Observation) -> Ev
         cell_information(tangent, observation),
         shared,
     )
+    # A tangent that holds on average says nothing about the few values at ends of intervals.
+    return found._of_least_squares() if tangent.jumps else found
 
 
 def cell_information(tangent: Tangent, observation: Observation) -> np.ndarray:

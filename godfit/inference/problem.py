@@ -83,7 +83,9 @@ class Problem:
     @property
     def small(self) -> Problem:
         """The same for the copy of the picture that searches work on."""
-        return self.replaced(picture=self.picture.small)
+        small = self.picture.small
+        scale = small.mask.shape[0] / self.picture.mask.shape[0]
+        return self.replaced(picture=small, model=self.model.on_copy(scale))
 
     def replaced(self, **fields: Any) -> Problem:
         """The problem with other ``fields``."""

@@ -65,12 +65,13 @@ class Stop(NamedTuple):
 
 class Tangent(NamedTuple):
     """The model about a point: levels (m,), derivatives (p, m) by coordinates over ``scale``, and
-    the rows of priors, None without any."""
+    the rows of priors, None without any. Of a model that ``jumps``, it holds on average alone."""
 
     prediction: np.ndarray
     jacobian: np.ndarray
     scale: np.ndarray
     prior: PriorRows | None = None
+    jumps: bool = False
 
     def only(self, rows: np.ndarray) -> Tangent:
         """The tangent of some of the levels."""
@@ -114,7 +115,8 @@ def tangent_at(coordinates: np.ndarray, problem: Problem, observation: Observati
     plain = observation.with_noise(None)
     prediction, jacobian = linearise(coordinates, problem.held, scale, problem.model, plain)
     prior = prior_rows(problem.prior, problem.model, problem.held, coordinates, scale)
-    return Tangent(np.asarray(prediction), np.asarray(jacobian), scale, prior)
+    jumps = problem.model.jumps
+    return Tangent(np.asarray(prediction), np.asarray(jacobian), scale, prior, jumps)
 
 
 @cached_jit
@@ -251,7 +253,7 @@ def solve_tangent(
     intervals and steep outside. It is projected onto the bounds: a coordinate on its bound with a
     slope outwards stays there (Bertsekas, SIAM J. Control Optim. 20 (1982), 221).
     """
-    prediction, jacobian, scale, prior = tangent
+    prediction, jacobian, scale, prior, _ = tangent
     lo, hi, foreign, own_noise = intervals
     free = problem.free
     levels, slopes, lower_ends, upper_ends = (on_device(z) for z in (prediction, jacobian, lo, hi))

@@ -67,8 +67,8 @@ SEARCH_STARTS = 6
 
 def starting_points(problem: Problem, given: dict[str, float]) -> list[np.ndarray]:
     """The SEARCH_STARTS best starting points (p,) of a problem's search, best first."""
-    small = problem.picture.small
-    return starts(problem.model, small, given, keep=SEARCH_STARTS, seed=problem.seed)
+    small = problem.small
+    return starts(small.model, small.picture, given, keep=SEARCH_STARTS, seed=problem.seed)
 
 
 @functools.singledispatch

@@ -129,6 +129,16 @@ class AbstractModel(eqx.Module):
         return False
 
     @property
+    def jumps(self) -> bool:
+        """Whether the image jumps where a coordinate moves: its derivative is then that of a mean
+        over the jumps, and holds for no single level."""
+        return False
+
+    def on_copy(self, scale: float) -> AbstractModel:
+        """This model on a copy of its images at ``scale``, whose pixels are larger."""
+        return self
+
+    @property
     def walk(self) -> Taps | None:
         """The taps to which a shader walks along the ray, None where there is no such walk."""
         return None

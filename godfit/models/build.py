@@ -108,6 +108,7 @@ def mitchell_at(
         model.samples,
         settings.get("full_size", False),
         border=border,
+        kernel=settings.get("kernel", ""),
     )
 
 

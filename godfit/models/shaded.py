@@ -44,6 +44,17 @@ class AbstractShaded(AbstractModel):
         return self.shading.taps
 
     @property
+    def jumps(self) -> bool:
+        return self.shading.jumps
+
+    def on_copy(self, scale: float) -> AbstractShaded:
+        return eqx.tree_at(lambda m: m.shading, self, self.shading.on_copy(scale))
+
+    def with_pass(self, **settings: Any) -> AbstractShaded:
+        """This model with other ``settings`` of its light pass: fields of ``Mitchell`` by name."""
+        return eqx.tree_at(lambda m: m.shading, self, self.shading.with_pass(**settings))
+
+    @property
     def reads_between(self) -> bool:
         return self.shading.full_size
 

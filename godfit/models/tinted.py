@@ -96,7 +96,10 @@ class Tinted(AbstractShaded):
         texels: Texels | None = None,
     ) -> Float[Array, "..."]:
         """(H, W, 3) or (n, 3), linear, not clamped; see ``Mitchell.__call__``."""
-        light = at_pixels(self.shading.light_pass, mask, size, pixels, texels)
+        light = at_pixels(
+            self.shading.light_pass, mask, size, pixels, texels,
+            self.shading.full_size, self.shading.kernel,
+        )  # fmt: skip
         if mask.ndim == 2:
             light = light[..., None]
         light = light * self.colour.reshape((1,) * (light.ndim - 1) + (3,))

@@ -82,17 +82,20 @@ def sun_beams(mask: Float[Array, "h w"], given: Pass) -> Float[Array, "*points"]
 def godot4(mask: Float[Array, "h w"], given: Pass) -> Float[Array, "*points"]:
     """RERadialSunRays: the mean of ``samples`` nearest texels at a (k/n) min(|x - l|/R, 1), blurred
     by a Gauss; a is ``density``, R the option ``radius`` in pixels of the pass, and ``gaussian``
-    the reach of the Gauss in pixels, 1.6 standard deviations. Reads are clamped to the edge."""
+    the reach of the Gauss in pixels, 1.6 standard deviations. Reads are clamped to the edge.
+
+    The derivative by light and density is that of ``nearest``."""
     h, w = mask.shape
     x, y = points(h, w, None, mask.dtype)
     light_x, light_y = to_pixels(given.light, h, w)
     ray_x, ray_y = light_x - x, light_y - y
-    reach = given.density * jnp.minimum(jnp.hypot(ray_x, ray_y) / given.options["radius"], 1)
+    squared = ray_x**2 + ray_y**2
+    away = squared > AT_LIGHT**2
+    distance = jnp.where(away, jnp.sqrt(jnp.where(away, squared, 1.0)), 0.0)
+    reach = given.density * jnp.minimum(distance / given.options["radius"], 1)
 
     def tap(total, t):
-        column = jnp.clip(jnp.round(x + t * reach * ray_x), 0, w - 1).astype(jnp.int32)
-        row = jnp.clip(jnp.round(y + t * reach * ray_y), 0, h - 1).astype(jnp.int32)
-        return total + mask[row, column], None
+        return total + nearest(mask, x + t * reach * ray_x, y + t * reach * ray_y), None
 
     shares = jnp.arange(given.samples, dtype=mask.dtype) / given.samples
     total, _ = jax.lax.scan(tap, jnp.zeros_like(x), shares)
@@ -100,6 +103,28 @@ def godot4(mask: Float[Array, "h w"], given: Pass) -> Float[Array, "*points"]:
     if given.at is None:
         return blurred
     return bilinear(blurred, given.at[..., 0], given.at[..., 1])
+
+
+@jax.custom_jvp
+def nearest(
+    mask: Float[Array, "h w"], x: Float[Array, "*points"], y: Float[Array, "*points"]
+) -> Float[Array, "*points"]:
+    """The mask's texels nearest to columns ``x`` and rows ``y`` (pixels), clamped to its edge.
+
+    Its derivative by the place, which vanishes wherever there is one, is that of its mean over
+    places within half a texel. This mean is the bilinear read.
+    """
+    h, w = mask.shape
+    column = jnp.clip(jnp.round(x), 0, w - 1).astype(jnp.int32)
+    row = jnp.clip(jnp.round(y), 0, h - 1).astype(jnp.int32)
+    return mask[row, column]
+
+
+@nearest.defjvp
+def _nearest_and_slope(at, moved):
+    (mask, x, y), (mask_moved, x_moved, y_moved) = at, moved
+    _, slope = jax.jvp(lambda x, y: bilinear(mask, x, y), (x, y), (x_moved, y_moved))
+    return nearest(mask, x, y), nearest(mask_moved, x, y) + slope
 
 
 def _gauss(image: Float[Array, "h w"], reach: float) -> Float[Array, "h w"]:

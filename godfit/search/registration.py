@@ -25,11 +25,13 @@ import numpy as np
 from godfit.errors import InputError, Remark
 from godfit.inference.allowances.mask_rounding import edge_variance
 from godfit.inference.noise import WITHIN_ROUNDING
-from godfit.inference.observation import Picture
 from godfit.inference.problem import SEARCH_PIXELS, Problem
 from godfit.inference.settle import Settled, settle
 from godfit.inference.solver import Tangent
 from godfit.inference.strategy import Report, stages, starting_points
+from godfit.models.mitchell import Mitchell
+from godfit.models.shaded import AbstractShaded
+from godfit.scattering.resize_kernels import KERNELS
 from godfit.scattering.upsample import is_larger
 from godfit.search import multigrid
 from godfit.search.resizing import Before, before_resize
@@ -52,7 +54,7 @@ WHOLE = 0.05
 WITHOUT_EDGES = 0.01
 """Noise in levels up to which a grey mask was restored: its edges then leave nothing."""
 ANOTHER_SIZE = (
-    "the target was resized from the mask's {}x{} pixels, which are taken as the light pass's "
+    "the target was resized from the mask's {}x{} pixels ({}), which are taken as the light pass's "
     "(noise of {:.2g} levels against {:.2g} under a mask of the target's size)"
 )
 """The note where the target was resized instead."""
@@ -108,11 +110,11 @@ class Map(NamedTuple):
 
 
 class Registered(NamedTuple):
-    """The ``picture`` under the registered mask, a ``note`` on the map, and ``shifts``, the changes
+    """The ``problem`` under the registered mask, a ``note`` on the map, and ``shifts``, the changes
     of the coordinates (p,) by an error of each direction of the map; the ``objection`` to a fit
     with it, "" where there is none."""
 
-    picture: Picture
+    problem: Problem
     note: Remark
     shifts: tuple[np.ndarray, ...]
     objection: str
@@ -162,7 +164,7 @@ def check_registered(mask: tuple[int, ...], target: tuple[int, ...]) -> None:
 def registered(
     problem: Problem, mask: np.ndarray, given: dict[str, float], report: Report
 ) -> Registered:
-    """The picture of ``problem`` under ``mask`` (H, W, ...) moved and scaled to fit it best."""
+    """The ``problem`` under ``mask`` (H, W, ...) moved and scaled to fit it best."""
     report("shift and scale of the mask")
     picture, size = problem.picture, problem.picture.size
     sides = np.array(mask.shape[:2])
@@ -180,9 +182,6 @@ def registered(
     whole = Map(np.ones(2), np.round(found.shift))
     best = Before(found.applied(solver.mask, size))
     exact = [(guesses[0], before) for before in before_resize(solver.mask, size)]
-    if not is_larger(solver.mask.shape[:2], size):
-        # The target, and not the mask, may have been resized: from a light pass of the mask's size.
-        exact.append((guesses[0], Before(solver.mask)))
     if np.abs(whole.corners(size) - corners).max() < WHOLE:
         exact.append((whole, Before(whole.applied(solver.mask, size))))
     tried = [(*one, solver.under(one[1].mask, settled.coordinates)[0]) for one in exact]
@@ -190,6 +189,15 @@ def registered(
         near, before, other = max(tried, key=lambda one: one[2].log_likelihood)
         if other.log_likelihood >= settled.log_likelihood - 1:
             found, best, settled, errors = near, before, other, np.zeros((0, 4))
+    if not is_larger(solver.mask.shape[:2], size):
+        # The target, and not the mask, may have been resized: from a light pass of the mask's size.
+        there, of_pass = solver.of_another_size(settled.coordinates)
+        kernel = of_pass.model.settings.get("kernel")
+        if there.log_likelihood >= settled.log_likelihood - 1:
+            words = ANOTHER_SIZE.format(
+                *sides[::-1], kernel or "bilinear", there.sigma, begun[0].sigma
+            )
+            return Registered(of_pass, Remark(words, "register"), (), "")
     shifts = tuple(slopes @ error for error in errors)
     down, right = found.shift
     words = (
@@ -198,9 +206,6 @@ def registered(
         f"levels against {begun[0].sigma:.2g} before)"
     )
     picture, objection = picture.with_mask(best.mask), ""
-    if best.mask.shape[:2] != size:
-        words = ANOTHER_SIZE.format(*sides[::-1], settled.sigma, begun[0].sigma)
-        return Registered(picture, Remark(words, "register"), (), "")
     # A mask in few colours that leaves no more than rounding hides is whole: the rest is a density
     # that is not right yet.
     known = best.variance is not None
@@ -210,7 +215,8 @@ def registered(
         picture = dataclasses.replace(picture, texel_variance=variance)
         if not known and settled.sigma > max(LOST_LEVELS, LOST_SHARE * begun[0].sigma):
             objection = LOST.format(settled.sigma, begun[0].sigma)
-    return Registered(picture, Remark(words, "register"), shifts, objection)
+    posed = problem.replaced(picture=picture)
+    return Registered(posed, Remark(words, "register"), shifts, objection)
 
 
 class _Solver:
@@ -251,6 +257,25 @@ class _Solver:
         problem = self.problem.replaced(picture=self.problem.picture.with_mask(moved))
         settled, tangent = settle(start, problem, self._view(problem))
         return settled, tangent, problem
+
+    def of_another_size(self, start: np.ndarray) -> tuple[Settled, Problem]:
+        """Where the parameters settle if the light pass has the mask's size and the target was
+        resized from it, with that problem. Its kernel is the one whose image comes nearest at the
+        parameters that a bilinear read gives."""
+        settled, _, problem = self.under(self.mask, start)
+        picture, model = problem.picture, problem.at(settled.coordinates)
+        assert isinstance(model, (Mitchell, AbstractShaded))
+
+        def left(kernel: str) -> float:
+            residual = picture.rendered(model.with_pass(kernel=kernel)) - picture.levels
+            return float(np.mean(residual[picture.readable] ** 2))
+
+        kernel = min(["", *KERNELS], key=left)
+        resized = problem.replaced(model=model.with_pass(kernel=kernel))
+        other, _ = settle(settled.coordinates, resized, self._view(resized))
+        if other.log_likelihood > settled.log_likelihood:
+            return other, resized
+        return settled, problem
 
     def solve(
         self, corners: np.ndarray, begun: Settled

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from godfit.io.image import LEVELS
+from godfit.scattering.resize_kernels import KERNELS, kernel_taps
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -27,38 +28,6 @@ PRIOR = 1e-5
 squared of a hundred."""
 ROUNDS = 4
 """Corrections of what was undone, for what has values that a mask has."""
-
-
-def _bilinear(x: np.ndarray) -> np.ndarray:
-    return np.maximum(1 - np.abs(x), 0)
-
-
-def _bicubic(x: np.ndarray) -> np.ndarray:
-    """Keys, IEEE ASSP 29 (1981), eq. 15: a = -1/2."""
-    x = np.abs(x)
-    near, far = (1.5 * x - 2.5) * x * x + 1, ((2.5 - 0.5 * x) * x - 4) * x + 2
-    return np.where(x < 1, near, np.where(x < 2, far, 0))
-
-
-def _lanczos(x: np.ndarray) -> np.ndarray:
-    """Lanczos with three lobes (Duchon, J. Appl. Meteorology 18 (1979))."""
-    return np.where(np.abs(x) < 3, np.sinc(x) * np.sinc(x / 3), 0)
-
-
-def _box(x: np.ndarray) -> np.ndarray:
-    """The mean of the pixels within; the nearest neighbour, where a mask is enlarged."""
-    return ((x > -0.5) & (x <= 0.5)).astype(float)
-
-
-Kernel = Callable[[np.ndarray], np.ndarray]
-KERNELS: dict[str, tuple[Kernel, float]] = {
-    "box": (_box, 0.5),
-    "bilinear": (_bilinear, 1.0),
-    "bicubic": (_bicubic, 2.0),
-    "lanczos": (_lanczos, 3.0),
-}
-"""What image programs resize with, and how many pixels it reaches to either side; a smaller
-picture's pixels each take as many more of the larger's."""
 
 
 class Before(NamedTuple):
@@ -156,23 +125,14 @@ def _band(weights: sparse.csr_array, n: int) -> np.ndarray:
 
 
 def resize_weights(size: int, resized: int, name: str) -> sparse.csr_array:
-    """(resized, size) the weights with which a side of ``size`` pixels becomes one of ``resized``.
-
-    Pixel centres lie at i + 1/2, and beyond the edge there is nothing.
-    """
+    """(resized, size) the weights with which a side of ``size`` pixels becomes one of ``resized``;
+    see ``kernel_taps``."""
     from scipy import sparse
 
-    kernel, reach = KERNELS[name]
-    scale = size / resized
-    wide = max(scale, 1.0)
-    centre = (np.arange(resized) + 0.5) * scale - 0.5
-    taps = np.floor(centre - reach * wide)[:, None] + np.arange(int(2 * reach * wide) + 2)
-    weights = kernel((taps - centre[:, None]) / wide) * ((taps >= 0) & (taps < size))
-    weights /= weights.sum(1, keepdims=True)
+    taps, weights = kernel_taps(size, resized, name)
     rows = np.broadcast_to(np.arange(resized)[:, None], taps.shape)
     used = weights != 0
-    places = rows[used], taps[used].astype(int)
-    return sparse.csr_array((weights[used], places), shape=(resized, size))
+    return sparse.csr_array((weights[used], (rows[used], taps[used])), shape=(resized, size))
 
 
 def few_values(mask: np.ndarray) -> np.ndarray | None:

@@ -206,10 +206,11 @@ def mitchell_starts(
     places, given_lights = light_places(light_grid(target, seed), given, lights)
     if _alone(model):
         shapes, own = _whole_shapes(given, model), 0 * goal
+        small = model.on_copy(mask.shape[0] / picture.mask.shape[0])
 
         def rays_to(spots):
             at_once = on_device(mask), on_device(spots), on_device(at), on_device(shapes)
-            return _whole_rays(*at_once, model)
+            return _whole_rays(*at_once, small)
 
         along = np.eye(len(shapes), dtype=np.float32)
     else:
@@ -261,7 +262,7 @@ def tinted_starts(
 ) -> list[np.ndarray]:
     """The starting points of the sum without colour, with the target's colour as the tint."""
     of_sum = {name: value for name, value in given.items() if name in model.shading.parameters}
-    found = mitchell_starts(model.shading, picture, of_sum, keep=keep, seed=seed)
+    grey_starts = mitchell_starts(model.shading, picture, of_sum, keep=keep, seed=seed)
     light = np.asarray(decode(picture.levels / np.float32(LEVELS), picture.transfer), np.float64)
     if picture.background is not None:
         light = light - np.float32(model.convention.background_gain) * picture.background
@@ -270,11 +271,12 @@ def tinted_starts(
     tint = np.maximum((light * light[:, 1:2]).sum(0) / power, LEAST_TINT)
     # The sum is fitted to the mean of the channels, and its exposure is that of green.
     green = 3 / (tint[0] + 1 + tint[2])
-    for start in found:
-        start[[EXPOSURE, GAIN]] *= np.float32(green)
     own = zip(TINT_PARAMETERS, tint[[0, 2]].tolist(), strict=True)
     ends = np.array([given.get(row.name, t) for row, t in own])
-    return [np.append(start, ends).astype(np.float32) for start in found]
+    found = [np.append(start, ends).astype(np.float32) for start in grey_starts]
+    for start in found:
+        start[[EXPOSURE, GAIN]] *= np.float32(green)
+    return found
 
 
 @trading.register

@@ -77,10 +77,16 @@ def test_errors_hold_where_columns_drift(single_precision):
         found = solve_tangent(z, straight, tangent, intervals, least)
         off = found.coordinates - z
         moved = tangent.shifted(off)
-        at = evidence(Settled(found.coordinates, least, 0.0, True), moved, one)
+        settled = Settled(found.coordinates, least, 0.0, True)
+        at = evidence(settled, moved, one)
         for name, known in (("with", at), ("without", at.without_shared_noise())):
             errors = np.sqrt(np.diag(known.covariance(free)))
             scores[name].append(off[free] / errors[free])
     rms = {name: np.sqrt(np.mean(np.square(z))) for name, z in scores.items()}
     assert 0.8 < rms["with"] < 1.2
     assert rms["without"] > 1.4
+    # Of a model that jumps, a tangent says nothing about values at ends of their intervals.
+    jumping = evidence(settled, moved._replace(jumps=True), one)
+    np.testing.assert_array_equal(jumping.curvature, at.blunt)
+    np.testing.assert_array_equal(jumping.scores, at.blunt)
+    assert (np.diag(jumping.covariance(free))[free] > np.diag(at.covariance(free))[free]).all()

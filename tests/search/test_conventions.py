@@ -7,7 +7,7 @@ import godfit
 from godfit.errors import InputError
 from godfit.scattering import forms as sums
 from godfit.scattering.conventions import CONVENTIONS
-from godfit.search import conventions
+from godfit.search import comparison
 from tests.support import distortions, random_targets
 
 SIZE = 96
@@ -52,6 +52,22 @@ def test_the_shader_is_found_and_ties_are_named(picture):
 
 
 @pytest.mark.usefixtures("single_precision")
+def test_a_last_tap_that_shows_nothing_is_not_counted_on():
+    """Where the mask is black about the light, 99 taps and one more give the same picture. The mean
+    has 99, and fewer free numbers than the sum of 100."""
+    mask, truth = distortions.frame(1, SIZE, 60)
+    light = truth["light_x"], truth["light_y"]
+    rows, columns = np.indices(mask.shape)
+    away = np.hypot(columns + 0.5 - light[0] * SIZE, rows + 0.5 - (1 - light[1]) * SIZE)
+    mask = np.where(away < 14, 0, mask).astype(np.uint8)
+    linear = np.asarray(godfit.Mitchell(1.0, 1.0, 0.9, 1.0, light, "mean")(mask))
+    target = random_targets.to_bytes(0.9 / np.quantile(linear, 0.99) * linear)
+    result = godfit.fit(target, mask=mask, shader="auto", pass_scale=1.0)
+    assert result.converged, result.message
+    assert result.model.settings == {"shader": "mean", "samples": 100}
+
+
+@pytest.mark.usefixtures("single_precision")
 @pytest.mark.parametrize(
     ("shader", "samples", "says"),
     [("dawntime", 120, "give --samples 60")],
@@ -70,5 +86,5 @@ def test_a_translated_sum_is_the_same():
     mask = rng.random((9, 11))
     for name in ("dawntime", "vesper", "babylon"):
         model = godfit.Mitchell(0.1, 0.9, 0.7, 0.6, (0.3, 0.4), shader=name, samples=12)
-        other = conventions._translated(model, CONVENTIONS["mitchell"])
+        other = comparison._translated(model, CONVENTIONS["mitchell"])
         np.testing.assert_allclose(np.asarray(other(mask)), np.asarray(model(mask)), atol=1e-9)

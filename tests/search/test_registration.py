@@ -7,6 +7,7 @@ from PIL import Image
 import godfit
 from godfit.errors import InputError
 from godfit.inference.allowances.mask_rounding import edge_blur, edge_variance
+from godfit.report.record import fit_record
 from godfit.search import registration
 from tests.support import distortions, random_targets
 
@@ -67,12 +68,13 @@ def test_a_mask_that_was_made_smaller_is_fitted_as_it_was_before():
 def test_a_target_that_was_resized_is_a_light_pass_of_the_masks_size():
     mask, truth = distortions.frame(2, SIZE - 1)
     target = random_targets.to_bytes(random_targets.render64(mask / 255, truth))
-    smaller = Image.fromarray(target).resize((SIZE - 2, SIZE - 2), Image.Resampling.BILINEAR)
+    smaller = Image.fromarray(target).resize((SIZE - 2, SIZE - 2), Image.Resampling.LANCZOS)
     target = np.asarray(smaller)
     result = godfit.fit(target, mask=mask, shader="dawntime", samples=distortions.SAMPLES)
     assert result.converged, result.message
     (note,) = [note for note in result.notes if "resized" in note]
-    assert f"from the mask's {SIZE - 1}x{SIZE - 1} pixels" in note
+    assert f"from the mask's {SIZE - 1}x{SIZE - 1} pixels (lanczos)" in note
+    assert fit_record(result)["kernel"] == "lanczos"
     for name, one in result.params.items():
         assert abs(one.value - truth[name]) < 5 * one.stderr
 

@@ -7,8 +7,17 @@ import pytest
 
 from godfit.inference.observation import Picture
 from godfit.io.filters import blurred, blurred_at
+from godfit.models.mitchell import Mitchell
+from godfit.models.tinted import TintedMask
 from godfit.runtime.parallel import map_halves
-from godfit.search.screening import _solve, _View, distinct_starts, light_grid
+from godfit.search.screening import (
+    _solve,
+    _View,
+    distinct_starts,
+    light_grid,
+    mitchell_starts,
+    tinted_starts,
+)
 
 
 @pytest.mark.parametrize("sigma", [0.3, 1.0, 3.0, 40.0])
@@ -84,3 +93,21 @@ def test_lights_are_solved_for_in_halves():
         for halves, without, expected in zip(even, odd, whole, strict=True):
             np.testing.assert_allclose(halves, expected, rtol=1e-5, atol=1e-5)
             np.testing.assert_allclose(without, expected[:5], rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.usefixtures("single_precision")
+def test_starts_of_a_coloured_light_are_those_of_a_grey_one_scaled_to_green():
+    rng = np.random.default_rng(0)
+    grey = rng.uniform(20, 200, (24, 24, 1)).astype(np.float32)
+    valid, mask = np.ones((24, 24), bool), rng.random((24, 24)).astype(np.float32)
+    colour = np.float32([1.0, 0.5, 0.25])
+    picture = Picture(grey * colour, 0.5, valid, mask, None, "none")
+    model = Mitchell(1.0, 0.9, 0.5, 0.5, [0.5, 0.5], samples=20)
+    # With a density that is given the starts come from a program, whose arrays are read alone.
+    search = {"given": {"density": 0.6}, "keep": 2, "seed": 0}
+    found = tinted_starts(TintedMask(model), picture, **search)
+    alone = mitchell_starts(model, picture, **search)
+    for start, other in zip(found, alone, strict=True):
+        np.testing.assert_allclose(start[6:], [2, 0.5], rtol=1e-5)
+        scaled = other * np.float32([3 / 3.5, 1, 1, 3 / 3.5, 1, 1])
+        np.testing.assert_allclose(start[:6], scaled, rtol=1e-5)

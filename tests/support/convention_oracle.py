@@ -107,7 +107,8 @@ def sun_beams(mask, p):
     return p["exposure"] * total / weights
 
 
-def godot4(mask, p, radius=150.0, size=16.0):
+def godot4(mask, p, radius=150.0, size=16.0, mean=False):
+    """With ``mean``, each read is the mean of the nearest texels of places within half a texel."""
     h, w = mask.shape
     n, rays = p["samples"], np.zeros(mask.shape)
     row, column = np.mgrid[:h, :w]
@@ -115,9 +116,11 @@ def godot4(mask, p, radius=150.0, size=16.0):
     share = np.minimum(np.hypot(to_x, to_y) / radius, 1)
     for k in range(n):
         t = p["density"] * k / n * share
-        i = np.clip(np.round(row + t * to_y), 0, h - 1).astype(int)
-        j = np.clip(np.round(column + t * to_x), 0, w - 1).astype(int)
-        rays = rays + mask[i, j] / n
+        y, x = row + t * to_y, column + t * to_x
+        i = np.clip(np.round(y), 0, h - 1).astype(int)
+        j = np.clip(np.round(x), 0, w - 1).astype(int)
+        read = texture(mask, (x + 0.5) / w, 1 - (y + 0.5) / h) if mean else mask[i, j]
+        rays = rays + read / n
     weights = [np.exp(-(((i - 16) / 10) ** 2) / 2) for i in range(33)]
     for axis in (0, 1):
         across, blurred = rays.shape[axis], np.zeros(mask.shape)

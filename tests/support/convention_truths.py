@@ -41,8 +41,6 @@ class Attempt(NamedTuple):
 
 def determined(shader: str) -> tuple[str, ...]:
     """What a picture determines of a convention: parameters, or ``exposure*weight``."""
-    if shader == "godot4":
-        return ("exposure",)
     names = list(CONVENTIONS[shader].parameters)
     if CONVENTIONS[shader].product_open:
         names = ["exposure*weight", *(n for n in names if n not in ("exposure", "weight"))]
@@ -105,16 +103,11 @@ def exposed(shader: str, light_pass: np.ndarray, rng: np.random.Generator) -> fl
 
 
 def attempt(shader: str, seed: int) -> Attempt:
-    """The fit of a truth, without a start; what no picture determines is held."""
+    """The fit of a truth, without a start."""
     target, mask, back, truth = draw(shader, seed)
-    fix = {}
-    if shader == "godot4":
-        fix = {
-            "density": truth["density"], "light_x": truth["light"][0], "light_y": truth["light"][1]
-        }  # fmt: skip
     with jax.enable_x64(False):
         result = godfit.fit(
-            target, mask=mask, background=back, shader=shader, samples=truth["samples"], fix=fix,
+            target, mask=mask, background=back, shader=shader, samples=truth["samples"],
             pass_scale=1.0,
         )  # fmt: skip
     truth |= {"light_x": truth["light"][0], "light_y": truth["light"][1]}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -26,6 +27,11 @@ LEAST_DECAY = 1e-12
 """Least decay in a logarithm: a decay of 0 has none."""
 SCATTERING_NAMES = ("exposure", "decay", "density", "weight")
 """The four numbers of Mitchell's sum, in the order of reports."""
+
+PIXEL_OPTIONS = ("radius", "gaussian")
+"""Those of ``pass_options`` that are lengths in pixels of the light pass."""
+NEAREST_READS = ("godot4",)
+"""The ``passes`` that read the nearest texel."""
 
 Blend = Literal["add", "screen", "modulate", "towards"]
 
@@ -174,6 +180,13 @@ class Convention:
             mask = jnp.broadcast_to((mask @ jnp.asarray(LUMA, mask.dtype))[..., None], mask.shape)
         return mask
 
+    def on_copy(self, scale: float) -> Convention:
+        """The convention on a copy of the pass at ``scale``, whose pixels are larger."""
+        lengths = {n: v * scale for n, v in self.pass_options.items() if n in PIXEL_OPTIONS}
+        if scale == 1 or not lengths:
+            return self
+        return dataclasses.replace(self, pass_options=self.pass_options | lengths)
+
     @property
     def composed(self) -> bool:
         """Whether the light pass is no single sum over taps of geometric weights."""
@@ -184,6 +197,11 @@ class Convention:
         """Whether five numbers of one set of taps determine the light pass, so that it can be
         translated to another convention by algebra."""
         return not (self.composed or self.threshold or self.luma or self.lag or self.power != 1)
+
+    @property
+    def jumps(self) -> bool:
+        """Whether the light pass reads the nearest texel, so that it jumps as the light moves."""
+        return self.passes in NEAREST_READS
 
     @property
     def parameters(self) -> tuple[str, ...]:
