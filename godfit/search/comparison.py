@@ -20,6 +20,7 @@ import numpy as np
 
 from godfit.inference import sample_count
 from godfit.inference.evaluate import model_at
+from godfit.inference.observation import Observation
 from godfit.inference.problem import SEARCH_PIXELS, Problem
 from godfit.inference.settle import Settled, settle
 from godfit.inference.strategy import Report
@@ -44,6 +45,12 @@ CLEAR_GAIN = 30.0
 the mask and the choice among hundreds of numbers make it differ by less."""
 MORE_TAPS = 2
 """Taps by which loops of the same number of samples differ, at most."""
+ROUND_NUMBERS = (16, 32, 64, 96, 128, 192, 256, *range(10, sample_count.MOST_SAMPLES + 1, 10))
+"""Numbers of samples that shaders have, where bands are too shallow to tell theirs."""
+SHALLOW_BANDS = 0.15
+"""Noise in levels up to which it may be that of such bands: those of deeper ones are scanned."""
+ROUND_PIXELS = 512
+"""Pixels at which round numbers are compared: some of so many values lie beyond their intervals."""
 NUMBERS_TRIED = 3
 """Numbers of taps that the bands suggest and that are tried, each with and without own pixel."""
 
@@ -88,10 +95,12 @@ class Comparison:
         self.model = _translated(at, self.general)
         self.forms = forms()
 
-    def explained(self, form: Form, model: Mitchell) -> Explained | None:
-        """The picture by a sum of a ``form`` with as many taps as ``model``, from its numbers. None
-        where the user holds a number that the form has at another value, or where no convention is
-        such a sum."""
+    def explained(
+        self, form: Form, model: Mitchell, observation: Observation | None = None
+    ) -> Explained | None:
+        """The picture, or an ``observation`` of it, by a sum of a ``form`` with as many taps as
+        ``model``, from its numbers. None where the user holds a number that the form has at another
+        value, or where no convention is such a sum."""
         count = count_of(self.general, int(model.samples))
         names = named(form, count, self.given)
         fixed = _fixed(form, self.general, count)
@@ -110,7 +119,8 @@ class Comparison:
             else:
                 problem = problem.holding(name, fixed[name])
         start = np.asarray(model.coordinates(), np.float32)
-        settled, _ = settle(np.clip(start, *problem.bounds), problem, self.observation)
+        observation = observation or self.observation
+        settled, _ = settle(np.clip(start, *problem.bounds), problem, observation)
         price = FREE_NUMBER * form.free + (0 if names[0].default else ANY_COUNT)
         return Explained(names, problem, settled, settled.log_likelihood - price)
 
@@ -136,7 +146,33 @@ class Comparison:
             spaced = {taps.samples - drop: _spaced(self.model, taps) for _, taps in found}
             tried = {(form, count) for form in self.forms for count in spaced} - done
             explained, _ = self._ranked(explained, spaced, tried)
+            least = min((e.settled.sigma for e in explained), default=np.inf)
+            if density_minima.IMPROVABLE_NOISE < least < SHALLOW_BANDS and self._sharp:
+                report("round numbers of samples")
+                models = self._of_round_numbers(explained[0])
+                tried = {(form, count) for form in self.forms for count in models}
+                explained, _ = self._ranked(explained, models, tried)
         return explained
+
+    @property
+    def _sharp(self) -> bool:
+        """Whether the picture is bytes of one pass, whose rounding is all that may be left."""
+        picture = self.problem.picture
+        return picture.half > 0 and picture.pass_size(self.model) == picture.size
+
+    def _of_round_numbers(self, own: Explained) -> dict[int, Mitchell]:
+        """The likeliest sums of round numbers of samples by their numbers of taps, from a few
+        hundred pixels. Bands that are too shallow for least squares put some values beyond their
+        intervals, and the right number of taps alone puts none there."""
+        model = own.problem.at(own.settled.coordinates)
+        assert isinstance(model, Mitchell)
+        few = self.problem.observe(ROUND_PIXELS)
+        # Some loops leave one sample out.
+        counts = {number - drop for number in ROUND_NUMBERS for drop in (0, 1)}
+        models = {n: resampled(model, n + self.general.drop) for n in sorted(counts)}
+        tried = {n: self.explained(Form(), one, few) for n, one in models.items()}
+        found = [(e.settled.log_likelihood, n) for n, e in tried.items() if e and e.finite]
+        return {n: models[n] for _, n in sorted(found)[-NUMBERS_TRIED:]}
 
     def counted_again(
         self, explained: list[Explained], samples: int | None = None

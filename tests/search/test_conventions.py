@@ -81,6 +81,19 @@ def test_another_shader_or_number_is_not_converged_and_names_what_is_right(
     assert says in result.message
 
 
+@pytest.mark.usefixtures("single_precision")
+def test_a_number_of_samples_whose_bands_rounding_hides_is_named():
+    light = np.array([0.4, 0.55])
+    mask = random_targets.MASKS["maze"](np.random.default_rng(0), SIZE, light)
+    mask = np.floor(mask * 255 + 0.5).astype(np.uint8)
+    linear = np.asarray(godfit.Mitchell(1.0, 0.975, 0.8, 0.6, light, "dawntime", 140)(mask))
+    target = random_targets.to_bytes(0.7 / np.quantile(linear, 0.99) * linear)
+    result = godfit.fit(target, mask=mask, shader="dawntime", samples=100, pass_scale=1.0)
+    assert result.noise_levels < 0.1
+    assert not result.converged
+    assert "give --samples 140" in result.message
+
+
 def test_a_translated_sum_is_the_same():
     rng = np.random.default_rng(0)
     mask = rng.random((9, 11))
