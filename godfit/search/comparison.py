@@ -46,7 +46,7 @@ the mask and the choice among hundreds of numbers make it differ by less."""
 MORE_TAPS = 2
 """Taps by which loops of the same number of samples differ, at most."""
 ROUND_NUMBERS = (16, 32, 64, 96, 128, 192, 256, *range(10, sample_count.MOST_SAMPLES + 1, 10))
-"""Numbers of samples that shaders have, where bands are too shallow to tell theirs."""
+"""Numbers of samples that shaders have, for bands too shallow to scan."""
 SHALLOW_BANDS = 0.15
 """Noise in levels up to which it may be that of such bands: those of deeper ones are scanned."""
 ROUND_PIXELS = 512
