@@ -26,7 +26,6 @@ from godfit.io.image import LEVELS, encode
 from godfit.io.jpeg import compressed, settings_of, was_jpeg
 from godfit.models.base import AbstractModel
 from godfit.models.mitchell import Mitchell
-from godfit.scattering.resize_kernels import resized_bytes
 
 SIMULATED_PICTURES = 18
 """Pictures simulated for each correction: their covariance is then known to a third."""
@@ -89,12 +88,9 @@ def enlarged_bytes(picture: Picture, model: AbstractModel, rng: np.random.Genera
 
     assert isinstance(model, Mitchell)
     low = np.atleast_3d(render(model, picture.mask, None, picture.mask.shape[:2]))
-    stored = np.floor(low * LEVELS + 0.5)
-    if model.kernel:
-        light = resized_bytes(stored.clip(0, LEVELS), picture.size, model.kernel) / LEVELS
-    else:
-        ratio = (*(n / m for n, m in zip(picture.size, low.shape[:2], strict=True)), 1)
-        light = ndimage.zoom(stored / LEVELS, ratio, order=1, mode="nearest", grid_mode=True)
+    stored = np.floor(low * LEVELS + 0.5) / LEVELS
+    ratio = (*(n / m for n, m in zip(picture.size, low.shape[:2], strict=True)), 1)
+    light = ndimage.zoom(stored, ratio, order=1, mode="nearest", grid_mode=True)
     background = None if picture.background is None else jnp.asarray(picture.background)
     image = np.asarray(model.composite(jnp.asarray(light, jnp.float32), background, None))
     levels = LEVELS * np.asarray(encode(np.clip(image, 0, 1), picture.transfer))

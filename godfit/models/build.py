@@ -108,7 +108,6 @@ def mitchell_at(
         model.samples,
         settings.get("full_size", False),
         border=border,
-        kernel=settings.get("kernel", ""),
     )
 
 

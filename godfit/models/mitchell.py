@@ -63,8 +63,7 @@ class Mitchell(AbstractModel):
     smaller, and reads the mask between its texels. ``border`` is what the taps read beyond the
     mask's edge: ``"edge"``, the nearest pixel, or ``"black"``. ``jitter`` is the standard deviation
     in steps by which the taps of a pixel lie elsewhere, all by the same random share: the image is
-    then the mean over that. ``kernel`` is that of ``KERNELS`` with which the image was resized from
-    a light pass of the mask's size, where it was.
+    then the mean over that.
 
     Fit coordinates (one for each parameter, in order): exposure; kappa = -samples ln(decay) /
     density, the attenuation for each unit of ray; density; gain = exposure weight samples /
@@ -92,11 +91,10 @@ class Mitchell(AbstractModel):
     full_size: bool = eqx.field(static=True, default=False)
     border: str = eqx.field(static=True, default=EDGE)
     jitter: Float[Array, ""] | None = None
-    kernel: str = eqx.field(static=True, default="")
 
     def __init__(
         self, exposure, decay, density, weight, light, shader="mitchell", samples=None,
-        full_size: Any = False, border: Any = EDGE, jitter: Any = None, kernel: Any = "",
+        full_size: Any = False, border: Any = EDGE, jitter: Any = None,
     ):  # fmt: skip
         self.exposure, self.decay = on_device(exposure, float), on_device(decay, float)
         self.density, self.weight = on_device(density, float), on_device(weight, float)
@@ -107,7 +105,6 @@ class Mitchell(AbstractModel):
         # The loops of sums that are no sequence of taps need a known number.
         self.samples = count if own.passes else at_run_time(count)
         self.full_size, self.border = full_size, border
-        self.kernel = kernel
         self.jitter = None if jitter is None else on_device(jitter, float)
 
     @property
@@ -120,8 +117,7 @@ class Mitchell(AbstractModel):
         own = self.convention
         border = {} if self.border == EDGE else {"border": self.border}
         definition = {"shader_definition": own.definition()} if own.own_file else {}
-        kernel = {"kernel": self.kernel} if self.kernel else {}
-        return {"shader": own.name, "samples": self.samples, **definition, **border, **kernel}
+        return {"shader": own.name, "samples": self.samples, **definition, **border}
 
     @property
     def jumps(self) -> bool:
@@ -346,7 +342,7 @@ class Mitchell(AbstractModel):
         mask = as_light(mask, "mask")
         background = None if background is None else as_light(background, "background")
         light_pass = functools.partial(self.light_pass, method=method)
-        light = at_pixels(light_pass, mask, size, pixels, texels, self.full_size, self.kernel)
+        light = at_pixels(light_pass, mask, size, pixels, texels, self.full_size)
         return self.composite(light, background, pixels)
 
     def composite(

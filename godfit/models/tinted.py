@@ -96,10 +96,8 @@ class Tinted(AbstractShaded):
         texels: Texels | None = None,
     ) -> Float[Array, "..."]:
         """(H, W, 3) or (n, 3), linear, not clamped; see ``Mitchell.__call__``."""
-        light = at_pixels(
-            self.shading.light_pass, mask, size, pixels, texels,
-            self.shading.full_size, self.shading.kernel,
-        )  # fmt: skip
+        shading = self.shading
+        light = at_pixels(shading.light_pass, mask, size, pixels, texels, shading.full_size)
         if mask.ndim == 2:
             light = light[..., None]
         light = light * self.colour.reshape((1,) * (light.ndim - 1) + (3,))

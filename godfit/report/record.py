@@ -21,7 +21,6 @@ from godfit.models.build import mitchell_at
 from godfit.models.mitchell import Mitchell
 from godfit.scattering.conventions import convention
 from godfit.scattering.conventions.shader_file import from_definition
-from godfit.scattering.resize_kernels import KERNELS
 from godfit.scenes.scene import read_scene
 from godfit.scenes.view import drawn_mask, resized
 
@@ -34,7 +33,7 @@ SCHEMA = 2
 and notes are objects; both layouts are read."""
 MODEL_SETTINGS = (
     "model", "shader", "shader_definition", "samples", "rays", "phase", "fov", "distance",
-    "pass_scale", "border", "kernel",
+    "pass_scale", "border",
 )  # fmt: skip
 """Keys of fit.json that describe the model and its light pass and are not fitted."""
 
@@ -67,7 +66,6 @@ FIT_SCHEMA: dict[str, Any] = {
             },
         },
         **dict.fromkeys(("model", "shader", "phase", "transfer", "border"), _TEXT),
-        "kernel": {"enum": list(KERNELS)},
         **{key: {"type": "integer", "minimum": 1, "maximum": 10**6} for key in ("samples", "rays")},
         "shader_definition": {"type": "object", "maxProperties": 64},
         **dict.fromkeys(("fov", "distance"), _NUMBER),

@@ -2,7 +2,7 @@
 
 A pass of the image's size is used as it is. A smaller one is clamped to [0, 1], as the texture of
 bytes that holds it is, and interpolated bilinearly; so is one that is larger by so little that its
-picture must have been resized. Of such a picture the kernel of the resize may be known.
+picture must have been resized.
 
 A pass of the image's size may read a mask of another size: its taps then lie between the mask's
 texels, and the mask is interpolated.
@@ -21,7 +21,6 @@ from jaxtyping import Array, Float, Int
 
 from godfit.runtime.device import on_device
 from godfit.scattering.radial.reference import bilinear
-from godfit.scattering.resize_kernels import kernel_taps
 
 POINT_COST = 4
 """Pixels of a whole picture whose sums cost as much as one at a point by itself, or less."""
@@ -78,7 +77,6 @@ def at_pixels(
     pixels: Int[Array, " n"] | None,
     texels: Texels | None = None,
     full_size: bool = False,
-    kernel: str = "",
 ) -> Float[Array, "..."]:
     """The light pass at ``pixels`` of an image.
 
@@ -92,8 +90,6 @@ def at_pixels(
     - `pixels`: row-major indices (n,) into the image; None for all of them.
     - `texels`: ``Texels.of`` these pixels, if only their texels are to be computed.
     - `full_size`: whether the light pass has the size of the image where the mask is smaller.
-    - `kernel`: that of ``KERNELS`` with which the image was resized from a pass of another size;
-      without one, the pass is a texture that is read bilinearly.
 
     **Returns:** (height, width) or (n,), then channels.
     """
@@ -104,8 +100,6 @@ def at_pixels(
         light = light_pass(mask, _between(chosen, size, low, mask.dtype))
         return light.reshape(*shape, *mask.shape[2:])
     if size is not None and size != low:
-        if kernel:
-            return _resized(light_pass, mask, size, kernel, pixels)
         if texels is not None:
             values = jnp.clip(light_pass(mask, texels.at.astype(mask.dtype)), 0, 1)
             corners = values[texels.corners]
@@ -127,37 +121,6 @@ def _upsampled(light_pass, mask, size, pixels):
     at_points = functools.partial(bilinear, x=x, y=y)
     out = at_points(clamped) if clamped.ndim == 2 else jax.vmap(at_points, -1, -1)(clamped)
     return out.reshape(*shape, *mask.shape[2:])
-
-
-def _resized(light_pass, mask, size, kernel, pixels):
-    """The light pass of the mask's size, resized to an image of ``size`` by a ``kernel``, at
-    ``pixels``.
-
-    Columns are mixed first and then rows, with a bound after each, as image programs do it.
-    """
-    (h, w), channels = mask.shape[:2], mask.shape[2:]
-    rows, columns = kernel_taps(h, size[0], kernel), kernel_taps(w, size[1], kernel)
-    reads = rows[0].shape[1] * columns[0].shape[1]
-    if pixels is None or POINT_COST * reads * pixels.shape[0] >= h * w:
-        out = jnp.clip(light_pass(mask, None), 0, 1)
-        for axis, (taps, weights) in ((1, columns), (0, rows)):
-            lines = jnp.moveaxis(out, axis, -1)
-            # A tap after the other: all at once would take memory for each.
-            mixed = jnp.zeros((*lines.shape[:-1], len(taps)), out.dtype)
-            for tap, weight in zip(taps.T, weights.T, strict=True):
-                share = jnp.broadcast_to(jnp.asarray(weight, out.dtype), mixed.shape)
-                mixed = mixed + share * lines[..., tap]
-            out = jnp.moveaxis(jnp.clip(mixed, 0, 1), -1, axis)
-        return out if pixels is None else out.reshape(-1, *channels)[pixels]
-    (row, row_weights), (column, column_weights) = (
-        (jnp.asarray(taps)[at], jnp.asarray(weights, mask.dtype)[at])
-        for (taps, weights), at in ((rows, pixels // size[1]), (columns, pixels % size[1]))
-    )
-    places = jnp.broadcast_arrays(column[:, None, :], row[:, :, None])
-    at = jnp.stack(places, -1).astype(mask.dtype)
-    light = jnp.clip(light_pass(mask, at.reshape(-1, 2)), 0, 1).reshape(*at.shape[:3], *channels)
-    light = jnp.clip(jnp.einsum("nrc...,nc->nr...", light, column_weights), 0, 1)
-    return jnp.clip(jnp.einsum("nr...,nr->n...", light, row_weights), 0, 1)
 
 
 def is_larger(mask: tuple[int, ...], size: tuple[int, int]) -> bool:

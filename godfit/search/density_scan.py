@@ -94,6 +94,21 @@ def nearby_minima(
     return [end.coordinates for end in ends if end.cost < own + DOUBT]
 
 
+def along_valley(at: np.ndarray, values: np.ndarray, problem: Problem, along: int) -> np.ndarray:
+    """(n, p) ``at`` with coordinate ``along`` at ``values`` (n,), the others on the floor of the
+    valley."""
+    smooth = problem.observe(SEARCH_PIXELS, _valley_blur(problem))
+    follow = _valley_direction(at, problem, along, smooth)
+    return _line(at, values, along, problem, follow).astype(np.float32)
+
+
+def _line(
+    at: np.ndarray, values: np.ndarray, along: int, problem: Problem, follow: np.ndarray
+) -> np.ndarray:
+    """(n, p) ``at`` with coordinate ``along`` at ``values``, all others moved along ``follow``."""
+    return np.clip(at + np.outer(values - at[along], follow), *problem.bounds)
+
+
 def _valley_blur(problem: Problem) -> float:
     """Pixels of blur at which the bands are gone and the valley of the cost is left."""
     return COARSE_TO_FINE[1].blur * max(problem.picture.size)
@@ -139,7 +154,7 @@ def _following(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(n, p) ``at`` with coordinate ``along`` at ``values`` and all others following it along the
     floor of the valley, in direction ``follow``; and (n, m) levels there."""
-    line = np.clip(at + np.outer(values - at[along], follow), *problem.bounds)
+    line = _line(at, values, along, problem, follow)
     points = on_device(line, np.float32)
     return line, np.asarray(predictions(points, problem.held, problem.model, scanned))
 

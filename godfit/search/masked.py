@@ -29,7 +29,15 @@ from godfit.models.base import AbstractModel
 from godfit.models.mitchell import Mitchell
 from godfit.models.tinted import Tinted
 from godfit.scattering.radial.exact import at_run_time
-from godfit.search import beyond_light, conventions, density_minima, multigrid, multistart, scatter
+from godfit.search import (
+    beyond_light,
+    conventions,
+    density_minima,
+    multigrid,
+    multistart,
+    rival_densities,
+    scatter,
+)
 from godfit.search.rehearsal import rehearse
 
 RETRIED = 3
@@ -109,6 +117,7 @@ def search_mask(problem: Problem, given: dict[str, float], effort: Effort) -> Fo
     unexplained = found.inquire and found.remedy is None and problem.free.any()
     found = scatter.explained(found) if unexplained else found
     found = hold_open(found, given)
+    found = rival_densities.with_rivals(found) if found.inquire else found
     found = indirect_inference.corrected(found) if found.inquire else found
     if _edges_hide_density(found):
         found = found.replaced(objection=found.objection or UNKNOWN_EDGES)

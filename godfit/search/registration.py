@@ -25,16 +25,14 @@ import numpy as np
 from godfit.errors import InputError, Remark
 from godfit.inference.allowances.mask_rounding import edge_variance
 from godfit.inference.noise import WITHIN_ROUNDING
-from godfit.inference.problem import SEARCH_PIXELS, Problem
+from godfit.inference.problem import SEARCH_PIXELS, Problem, pixels_used
 from godfit.inference.settle import Settled, settle
 from godfit.inference.solver import Tangent
 from godfit.inference.strategy import Report, stages, starting_points
-from godfit.models.mitchell import Mitchell
-from godfit.models.shaded import AbstractShaded
-from godfit.scattering.resize_kernels import KERNELS
 from godfit.scattering.upsample import is_larger
-from godfit.search import multigrid
-from godfit.search.resizing import Before, before_resize
+from godfit.search import multigrid, resized_bytes
+from godfit.search.density_minima import ROUNDING_ONLY, on_subset
+from godfit.search.resizing import before_resize
 
 NEAR, NEAR_ASPECT = 0.02, 0.01
 """Differences of the sides and of the aspects of mask and target, as a share, up to which the mask
@@ -51,11 +49,19 @@ LEAST_STEP = 1e-3
 WHOLE = 0.05
 """Pixels within which a map is taken as a shift by whole pixels, where that explains no less."""
 
+LIKELY = 2.0
+"""Noise as a share of the least found, up to which another kind of explanation is worth a search: a
+wrong density leaves so much of the right one."""
 WITHOUT_EDGES = 0.01
 """Noise in levels up to which a grey mask was restored: its edges then leave nothing."""
+MOVED = (
+    "the mask was registered: scale {:.6g} x {:.6g}, shift {:+.4g} pixels to the right and {:+.4g} "
+    "down {} before)"
+)
+"""The note where the mask was moved."""
 ANOTHER_SIZE = (
     "the target was resized from the mask's {}x{} pixels ({}), which are taken as the light pass's "
-    "(noise of {:.2g} levels against {:.2g} under a mask of the target's size)"
+    "{} under a mask of the target's size)"
 )
 """The note where the target was resized instead."""
 RESIZED = "; a resize made the mask's edges grey, and errors allow for what they were"
@@ -109,6 +115,10 @@ class Map(NamedTuple):
         return np.stack([one(mask[..., c]) for c in range(mask.shape[-1])], -1)
 
 
+IDENTITY = Map(np.ones(2), np.zeros(2))
+"""The map of a mask of the target's size and frame."""
+
+
 class Registered(NamedTuple):
     """The ``problem`` under the registered mask, a ``note`` on the map, and ``shifts``, the changes
     of the coordinates (p,) by an error of each direction of the map; the ``objection`` to a fit
@@ -118,6 +128,43 @@ class Registered(NamedTuple):
     note: Remark
     shifts: tuple[np.ndarray, ...]
     objection: str
+
+
+class Explanation(NamedTuple):
+    """A ``problem`` under one explanation of how mask and target belong together, and where it
+    ``settled``: by the ``map`` of the mask, whose texels have a ``variance`` where that is known;
+    or the target was resized from a light pass of the mask's size by a ``kernel``."""
+
+    problem: Problem
+    settled: Settled
+    map: Map = IDENTITY
+    variance: np.ndarray | None = None
+    kernel: str = ""
+
+    def settled_from(self, start: np.ndarray, count: int | None = None) -> Explanation:
+        """The same, settled from ``start`` on ``count`` pixels, or on all."""
+        problem = self.problem
+        if count is None:
+            observation = problem.picture.observe(pixels_used(problem.picture, problem.seed))
+        else:
+            observation = problem.observe(count)
+        return self._replace(settled=settle(start, problem, observation)[0])
+
+    def note(self, before: float) -> Remark:
+        """The note on it, where the same frame at the target's size left noise ``before``."""
+        noise = f"(noise of {self.settled.sigma:.2g} levels against {before:.2g}"
+        if self.kernel:
+            h, w = self.problem.picture.mask.shape[:2]
+            words = ANOTHER_SIZE.format(w, h, self.kernel, noise)
+        else:
+            (down, right), (high, wide) = self.map.shift, self.map.scale
+            words = MOVED.format(wide, high, right, down, noise)
+        return Remark(words, "register")
+
+
+def _least(explanations: list[Explanation]) -> Explanation:
+    """That which leaves the least noise."""
+    return min(explanations, key=lambda one: one.settled.sigma)
 
 
 def may_register(mask: tuple[int, ...], target: tuple[int, ...], asked: bool) -> bool:
@@ -166,57 +213,59 @@ def registered(
 ) -> Registered:
     """The ``problem`` under ``mask`` (H, W, ...) moved and scaled to fit it best."""
     report("shift and scale of the mask")
-    picture, size = problem.picture, problem.picture.size
+    size = problem.picture.size
     sides = np.array(mask.shape[:2])
     guesses = [Map(sides / size, np.zeros(2))]
     for down, right in itertools.product(*(sorted({0, n // 2, n}) for n in sides - size)):
         guesses.append(Map(np.ones(2), np.array([down, right], float)))
     solver = _Solver(problem, mask)
     begun = [solver.begin(guess, given) for guess in guesses]
-    # A crop may resemble a resize: the best crop and the same frame both go on.
+    before = begun[0].sigma
     crops = sorted(zip(guesses[1:], begun[1:], strict=True), key=lambda pair: pair[1].sigma)
+    masks = solver.masks_before_resize(guesses[0], begun[0])
+    targets = solver.targets_before_resize(begun[0])
+    # None of these has a number to be fitted: the right one leaves rounding alone, at the right
+    # density.
+    kinds = [[solver.cropped(*pair) for pair in crops[:1]], masks, targets]
+    kinds = sorted(filter(None, kinds), key=lambda kind: _least(kind).settled.sigma)
+    for kind in kinds:
+        if _least(kind).settled.sigma > LIKELY * _least(kinds[0]).settled.sigma:
+            break
+        sure = solver.searched(kind, report)
+        if sure.settled.sigma <= ROUNDING_ONLY:
+            return Registered(sure.problem, sure.note(before), (), "")
+    # A crop may resemble a resize: the best crop and the same frame both go on.
     ends = [solver.solve(guesses[0].corners(size), begun[0])]
     ends += [solver.solve(guess.corners(size), z) for guess, z in crops[:1]]
     corners, settled, slopes, errors = max(ends, key=lambda end: end[1].log_likelihood)
-    found = Map.of(corners, size)
-    whole = Map(np.ones(2), np.round(found.shift))
-    best = Before(found.applied(solver.mask, size))
-    exact = [(guesses[0], before) for before in before_resize(solver.mask, size)]
+    best = Explanation(solver.posed(corners), settled, Map.of(corners, size))
+    whole = Map(np.ones(2), np.round(best.map.shift))
     if np.abs(whole.corners(size) - corners).max() < WHOLE:
-        exact.append((whole, Before(whole.applied(solver.mask, size))))
-    tried = [(*one, solver.under(one[1].mask, settled.coordinates)[0]) for one in exact]
-    if tried:
-        near, before, other = max(tried, key=lambda one: one[2].log_likelihood)
-        if other.log_likelihood >= settled.log_likelihood - 1:
-            found, best, settled, errors = near, before, other, np.zeros((0, 4))
-    if not is_larger(solver.mask.shape[:2], size):
-        # The target, and not the mask, may have been resized: from a light pass of the mask's size.
-        there, of_pass = solver.of_another_size(settled.coordinates)
-        kernel = of_pass.model.settings.get("kernel")
-        if there.log_likelihood >= settled.log_likelihood - 1:
-            words = ANOTHER_SIZE.format(
-                *sides[::-1], kernel or "bilinear", there.sigma, begun[0].sigma
-            )
-            return Registered(of_pass, Remark(words, "register"), (), "")
-    shifts = tuple(slopes @ error for error in errors)
-    down, right = found.shift
-    words = (
-        f"the mask was registered: scale {found.scale[1]:.6g} x {found.scale[0]:.6g}, shift "
-        f"{right:+.4g} pixels to the right and {down:+.4g} down (noise of {settled.sigma:.2g} "
-        f"levels against {begun[0].sigma:.2g} before)"
-    )
-    picture, objection = picture.with_mask(best.mask), ""
+        masks = [*masks, solver.cropped(whole, settled)]
+    tried = [solver.settled(one, settled.coordinates) for one in masks]
+    near = max(tried, key=lambda one: one.settled.log_likelihood, default=best)
+    if near is not best and near.settled.log_likelihood >= settled.log_likelihood - 1:
+        best, errors = near, np.zeros((0, 4))
+    targets = [solver.settled(one, settled.coordinates) for one in targets]
+    there = _least([best, *targets])
+    if there is not best:
+        return Registered(there.problem, there.note(before), (), "")
+    return _with_doubt(best, before, tuple(slopes @ error for error in errors))
+
+
+def _with_doubt(best: Explanation, before: float, shifts: tuple[np.ndarray, ...]) -> Registered:
+    """The ``best`` explanation, with what a resize left open of the mask."""
+    picture, sigma, objection = best.problem.picture, best.settled.sigma, ""
+    note, known = best.note(before), best.variance is not None
     # A mask in few colours that leaves no more than rounding hides is whole: the rest is a density
     # that is not right yet.
-    known = best.variance is not None
-    if not found.whole and settled.sigma > (WITHIN_ROUNDING if known else WITHOUT_EDGES):
-        words += RESIZED
-        variance = best.variance if known else edge_variance(best.mask)
+    if not best.map.whole and sigma > (WITHIN_ROUNDING if known else WITHOUT_EDGES):
+        note = Remark(f"{note}{RESIZED}", "register")
+        variance = best.variance if known else edge_variance(picture.mask)
         picture = dataclasses.replace(picture, texel_variance=variance)
-        if not known and settled.sigma > max(LOST_LEVELS, LOST_SHARE * begun[0].sigma):
-            objection = LOST.format(settled.sigma, begun[0].sigma)
-    posed = problem.replaced(picture=picture)
-    return Registered(posed, Remark(words, "register"), shifts, objection)
+        if not known and sigma > max(LOST_LEVELS, LOST_SHARE * before):
+            objection = LOST.format(sigma, before)
+    return Registered(best.problem.replaced(picture=picture), note, shifts, objection)
 
 
 class _Solver:
@@ -258,24 +307,50 @@ class _Solver:
         settled, tangent = settle(start, problem, self._view(problem))
         return settled, tangent, problem
 
-    def of_another_size(self, start: np.ndarray) -> tuple[Settled, Problem]:
-        """Where the parameters settle if the light pass has the mask's size and the target was
-        resized from it, with that problem. Its kernel is the one whose image comes nearest at the
-        parameters that a bilinear read gives."""
-        settled, _, problem = self.under(self.mask, start)
-        picture, model = problem.picture, problem.at(settled.coordinates)
-        assert isinstance(model, (Mitchell, AbstractShaded))
+    def settled(self, one: Explanation, start: np.ndarray) -> Explanation:
+        """The explanation settled from another start, where that is likelier."""
+        again = one.settled_from(start, SEARCH_PIXELS)
+        better = again.settled.log_likelihood > one.settled.log_likelihood
+        return again if better else one
 
-        def left(kernel: str) -> float:
-            residual = picture.rendered(model.with_pass(kernel=kernel)) - picture.levels
-            return float(np.mean(residual[picture.readable] ** 2))
+    def searched(self, kind: list[Explanation], report: Report) -> Explanation:
+        """The best of the explanations of a kind at the best of its densities. A density that is
+        found under one of them serves the others."""
+        one = _least(kind)
+        if one.settled.sigma > ROUNDING_ONLY and self.problem.model.banded:
+            for z in on_subset(one.problem, one.settled.coordinates, report):
+                kind = [self.settled(other, z) for other in kind]
+        alike = [one for one in kind if one.settled.sigma <= ROUNDING_ONLY]
+        if len(alike) < 2:
+            return _least(kind)
+        # A few thousand pixels may be content with several; all of them tell a kernel from another.
+        return _least([one.settled_from(one.settled.coordinates) for one in alike])
 
-        kernel = min(["", *KERNELS], key=left)
-        resized = problem.replaced(model=model.with_pass(kernel=kernel))
-        other, _ = settle(settled.coordinates, resized, self._view(resized))
-        if other.log_likelihood > settled.log_likelihood:
-            return other, resized
-        return settled, problem
+    def cropped(self, whole: Map, start: Settled) -> Explanation:
+        """The target as a crop of the mask's frame."""
+        settled, _, problem = self.under(whole.applied(self.mask, self.size), start.coordinates)
+        return Explanation(problem, settled, whole)
+
+    def masks_before_resize(self, frame: Map, start: Settled) -> list[Explanation]:
+        """The mask as it was at the target's size, by each kernel."""
+        found = []
+        for before in before_resize(self.mask, self.size):
+            settled, _, problem = self.under(before.mask, start.coordinates)
+            found.append(Explanation(problem, settled, frame, before.variance))
+        return found
+
+    def targets_before_resize(self, start: Settled) -> list[Explanation]:
+        """The target as it was at the mask's size, by each kernel. One that is not in bytes is
+        interpolated from a light pass of that size instead."""
+        if is_larger(self.mask.shape[:2], self.size):
+            return []
+        settled, _, problem = self.under(self.mask, start.coordinates)
+        pictures = resized_bytes.before_resize(problem.picture, self.mask.shape[:2])
+        found = []
+        for kernel, picture in pictures.items():
+            one = Explanation(problem.replaced(picture=picture), settled, kernel=kernel)
+            found.append(one.settled_from(settled.coordinates, SEARCH_PIXELS))
+        return found or [Explanation(problem, settled, kernel="bilinear")]
 
     def solve(
         self, corners: np.ndarray, begun: Settled

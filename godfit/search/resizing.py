@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from godfit.io.image import LEVELS
-from godfit.scattering.resize_kernels import KERNELS, kernel_taps
+from godfit.io.resampling import KERNELS, kernel_taps
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -52,7 +52,7 @@ def before_resize(mask: np.ndarray, size: tuple[int, int]) -> list[Before]:
 
     found = []
     for name in KERNELS:
-        resize = _Resize.of(size, mask.shape[:2], name)
+        resize = Resize.of(size, mask.shape[:2], name)
         grey = resize.undone(mask, allowed).astype(np.float32)
         if values is not None:
             few = resize.undone(mask, partial(snapped, values=values)).astype(np.float32)
@@ -62,16 +62,16 @@ def before_resize(mask: np.ndarray, size: tuple[int, int]) -> list[Before]:
     return found
 
 
-class _Resize(NamedTuple):
+class Resize(NamedTuple):
     """A resize of rows and of columns: by axis, what is multiplied with, and ``_band`` of it."""
 
     weights: list[sparse.csr_array]
     bands: list[np.ndarray]
 
     @staticmethod
-    def of(size: tuple[int, ...], resized: tuple[int, ...], name: str) -> _Resize:
+    def of(size: tuple[int, ...], resized: tuple[int, ...], name: str) -> Resize:
         weights = [resize_weights(*n, name) for n in zip(size, resized, strict=True)]
-        return _Resize(weights, [_band(*one) for one in zip(weights, size, strict=True)])
+        return Resize(weights, [_band(*one) for one in zip(weights, size, strict=True)])
 
     def undone(
         self, resized: np.ndarray, allowed: Callable[[np.ndarray], np.ndarray]

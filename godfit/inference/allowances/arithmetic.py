@@ -40,7 +40,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from godfit.inference.allowances.mask_rounding import rounded_texels
-from godfit.inference.allowances.resize_rounding import resize_variance
 from godfit.inference.criteria import CLEAR, aic
 from godfit.inference.noise import SINGLE_PRECISION, best_sigma
 from godfit.inference.observation import EXACT, Observation
@@ -96,16 +95,11 @@ def with_arithmetic(
         at = coordinates, problem.held, model, (plain, texels)
         return np.asarray(_by_taps(*at, tangent.prediction))
 
-    lit, texels = _sum_of(model), rounded_texels(picture, model)
+    texels = rounded_texels(picture, model)
     if texels is not None:
         variance = variance + by_taps(texels)
     if model.convention.half_floats:
         variance = variance + half_float_variance(tangent.prediction)
-    if lit.kernel:
-        low = observation.mask.shape[0], observation.mask.shape[1]
-        resized = resize_variance(np.asarray(plain.pixels), plain.size, low, lit.kernel)
-        if resized is not None:
-            variance = variance + np.repeat(resized, plain.channels)
     fractions = variance + by_taps(None)
     narrow, wide = (_noisy(plain, z, shared) for z in (variance, fractions))
 

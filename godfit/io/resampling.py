@@ -53,17 +53,3 @@ def kernel_taps(size: int, resized: int, name: str) -> tuple[np.ndarray, np.ndar
     weights = kernel((taps - centre[:, None]) / wide) * ((taps >= 0) & (taps < size))
     weights /= weights.sum(1, keepdims=True)
     return taps.clip(0, size - 1).astype(int), weights
-
-
-def resized_bytes(picture: np.ndarray, size: tuple[int, int], name: str) -> np.ndarray:
-    """The ``picture`` (H, W, ...) in levels resized to ``size`` (h, w): columns first, then rows,
-    and rounded to bytes after each, as image programs do it. float64."""
-    out = picture.astype(np.float64)
-    for axis in (1, 0):
-        taps, weights = kernel_taps(out.shape[axis], size[axis], name)
-        lines = np.moveaxis(out, axis, -1)
-        mixed = np.zeros((*lines.shape[:-1], size[axis]))
-        for tap, weight in zip(taps.T, weights.T, strict=True):
-            mixed += weight * lines[..., tap]
-        out = np.moveaxis(np.floor(mixed + 0.5).clip(0, 255), -1, axis)
-    return out
