@@ -70,7 +70,7 @@ def narrowed(
     weights.eliminate_zeros()
     rising, falling = weights.maximum(0), weights.minimum(0)
     seen = _seen_in(weights)
-    below = np.zeros((weights.shape[1], low.shape[1]))
+    below = np.zeros((len(seen[0][0]), low.shape[1]))
     above = np.full_like(below, LEVELS)
     for _ in range(ROUNDS):
         least, most = rising @ below + falling @ above, rising @ above + falling @ below
