@@ -26,7 +26,7 @@ HELD = 5.0
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--seeds", default="0:20")
+    parser.add_argument("--seeds", default="0:10")
     parser.add_argument("--size", type=int, default=128)
     parser.add_argument("--samples", type=int, default=100)
     parser.add_argument("--decay", type=float, default=0.85)

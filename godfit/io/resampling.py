@@ -1,10 +1,22 @@
-"""Kernels with which image programs resize a picture, and their weights along one side."""
+"""How image programs resize a picture: kernels, their weights along one side, and a resize of both
+that is undone by least squares."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from scipy import sparse
+
+PRIOR = 1e-5
+"""Variance of a resized mask's rounding to bytes, as a share of that of a mask's values: 1/12 level
+squared of a hundred."""
+ROUNDS = 4
+"""Corrections of what was undone, for what has values that a mask has."""
 
 
 def _bilinear(x: np.ndarray) -> np.ndarray:
@@ -53,3 +65,76 @@ def kernel_taps(size: int, resized: int, name: str) -> tuple[np.ndarray, np.ndar
     weights = kernel((taps - centre[:, None]) / wide) * ((taps >= 0) & (taps < size))
     weights /= weights.sum(1, keepdims=True)
     return taps.clip(0, size - 1).astype(int), weights
+
+
+class Resize(NamedTuple):
+    """A resize of rows and of columns: by axis, what is multiplied with, and ``_band`` of it."""
+
+    weights: list[sparse.csr_array]
+    bands: list[np.ndarray]
+
+    @staticmethod
+    def of(size: tuple[int, ...], resized: tuple[int, ...], name: str) -> Resize:
+        weights = [resize_weights(*n, name) for n in zip(size, resized, strict=True)]
+        return Resize(weights, [_band(*one) for one in zip(weights, size, strict=True)])
+
+    def undone(
+        self, resized: np.ndarray, allowed: Callable[[np.ndarray], np.ndarray]
+    ) -> np.ndarray:
+        """(h, w, ...) what was ``resized`` (H, W, ...), of ``allowed`` values.
+
+        Kernels that overshoot were clipped to black and white, which only bounds what was there.
+        """
+        before = allowed(self._solved(resized))
+        for _ in range(ROUNDS):
+            before = allowed(before + self._solved(self._left(resized, before)))
+        return before
+
+    def _left(self, resized: np.ndarray, before: np.ndarray) -> np.ndarray:
+        """(H, W, ...) what is left of the ``resized`` mask without what is resized from another."""
+        after = before
+        for axis, weights in enumerate(self.weights):
+            after = _along(axis, after, weights.__matmul__)
+        beyond = (resized <= 0) & (after < 0) | (resized >= 1) & (after > 1)
+        return np.where(beyond, 0, resized - after)
+
+    def _solved(self, picture: np.ndarray) -> np.ndarray:
+        """What is resized to the ``picture``, by least squares."""
+        from scipy.linalg import solveh_banded
+
+        for axis, (weights, band) in enumerate(zip(self.weights, self.bands, strict=True)):
+            picture = _along(axis, picture, weights.T.__matmul__)
+            picture = _along(axis, picture, partial(solveh_banded, band, lower=True))
+        return picture
+
+
+def _along(
+    axis: int, picture: np.ndarray, function: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray:
+    """A ``function`` of columns (n, k), (m, k), applied along one axis."""
+    lines = np.moveaxis(picture, axis, 0)
+    columns = function(lines.reshape(len(lines), -1))
+    return np.moveaxis(columns.reshape(len(columns), *lines.shape[1:]), 0, axis)
+
+
+def _band(weights: sparse.csr_array, n: int) -> np.ndarray:
+    """(k, n) the normal equations under the prior: their diagonals from the main one down."""
+    from scipy import sparse
+
+    normal = sparse.dia_array(weights.T @ weights)
+    band = np.zeros((int(normal.offsets.max()) + 1, n))
+    for k in range(len(band)):
+        band[k, : n - k] = normal.diagonal(-k)
+    band[0] += PRIOR
+    return band
+
+
+def resize_weights(size: int, resized: int, name: str) -> sparse.csr_array:
+    """(resized, size) the weights with which a side of ``size`` pixels becomes one of ``resized``;
+    see ``kernel_taps``."""
+    from scipy import sparse
+
+    taps, weights = kernel_taps(size, resized, name)
+    rows = np.broadcast_to(np.arange(resized)[:, None], taps.shape)
+    used = weights != 0
+    return sparse.csr_array((weights[used], (rows[used], taps[used])), shape=(resized, size))

@@ -24,7 +24,6 @@ import numpy as np
 
 from godfit.errors import InputError, Remark
 from godfit.inference.allowances.mask_rounding import edge_variance
-from godfit.inference.noise import WITHIN_ROUNDING
 from godfit.inference.problem import SEARCH_PIXELS, Problem, pixels_used
 from godfit.inference.settle import Settled, settle
 from godfit.inference.solver import Tangent
@@ -233,7 +232,7 @@ def registered(
             break
         sure = solver.searched(kind, report)
         if sure.settled.sigma <= ROUNDING_ONLY:
-            return Registered(sure.problem, sure.note(before), (), "")
+            return _with_doubt(sure, before, ())
     # A crop may resemble a resize: the best crop and the same frame both go on.
     ends = [solver.solve(guesses[0].corners(size), begun[0])]
     ends += [solver.solve(guess.corners(size), z) for guess, z in crops[:1]]
@@ -249,22 +248,21 @@ def registered(
     targets = [solver.settled(one, settled.coordinates) for one in targets]
     there = _least([best, *targets])
     if there is not best:
-        return Registered(there.problem, there.note(before), (), "")
+        return _with_doubt(there, before, ())
     return _with_doubt(best, before, tuple(slopes @ error for error in errors))
 
 
 def _with_doubt(best: Explanation, before: float, shifts: tuple[np.ndarray, ...]) -> Registered:
     """The ``best`` explanation, with what a resize left open of the mask."""
-    picture, sigma, objection = best.problem.picture, best.settled.sigma, ""
-    note, known = best.note(before), best.variance is not None
-    # A mask in few colours that leaves no more than rounding hides is whole: the rest is a density
-    # that is not right yet.
-    if not best.map.whole and sigma > (WITHIN_ROUNDING if known else WITHOUT_EDGES):
-        note = Remark(f"{note}{RESIZED}", "register")
-        variance = best.variance if known else edge_variance(picture.mask)
-        picture = dataclasses.replace(picture, texel_variance=variance)
-        if not known and sigma > max(LOST_LEVELS, LOST_SHARE * before):
+    picture, sigma = best.problem.picture, best.settled.sigma
+    note, objection, variance = best.note(before), "", best.variance
+    if variance is None and not best.map.whole and sigma > WITHOUT_EDGES:
+        variance = edge_variance(picture.mask)
+        if sigma > max(LOST_LEVELS, LOST_SHARE * before):
             objection = LOST.format(sigma, before)
+    if variance is not None and variance.any():
+        note = Remark(f"{note}{RESIZED}", "register")
+        picture = dataclasses.replace(picture, texel_variance=variance)
     return Registered(best.problem.replaced(picture=picture), note, shifts, objection)
 
 

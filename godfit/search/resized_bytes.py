@@ -20,12 +20,12 @@ import numpy as np
 from godfit.inference.observation import Picture
 from godfit.io.image import LEVELS
 from godfit.io.jpeg import was_jpeg
-from godfit.io.resampling import KERNELS
-from godfit.search.resizing import Resize
+from godfit.io.resampling import KERNELS, Resize
 
 if TYPE_CHECKING:
     from scipy import sparse
 
+EVERY_BYTE = np.arange(LEVELS + 1)
 HALF_LEVEL = 0.5
 """Half the distance between two bytes, in levels."""
 ROUNDS = 20
@@ -59,10 +59,10 @@ class Bounds(NamedTuple):
 
 
 def narrowed(
-    low: np.ndarray, high: np.ndarray, weights: sparse.csr_array
+    low: np.ndarray, high: np.ndarray, weights: sparse.csr_array, values: np.ndarray = EVERY_BYTE
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(n, k) bounds in levels of the bytes of k columns of which ``weights`` (m, n) made columns
-    with bytes from ``low`` to ``high`` (m, k)."""
+    """(n, k) bounds in levels of the bytes, some of ``values`` (v,) in order, of k columns of which
+    ``weights`` (m, n) made columns with bytes from ``low`` to ``high`` (m, k)."""
     low = np.where(low <= 0, -np.inf, low - HALF_LEVEL)
     high = np.where(high >= LEVELS, np.inf, high + HALF_LEVEL)
     weights = weights.copy()
@@ -70,8 +70,14 @@ def narrowed(
     weights.eliminate_zeros()
     rising, falling = weights.maximum(0), weights.minimum(0)
     seen = _seen_in(weights)
-    below = np.zeros((len(seen[0][0]), low.shape[1]))
-    above = np.full_like(below, LEVELS)
+    below = np.full((len(seen[0][0]), low.shape[1]), values[0])
+    above = np.full_like(below, values[-1])
+    # By byte, the nearest of the values up and down from it. Beyond the ends there is one more, so
+    # that bounds that exclude each other are seen; index -1 is the last.
+    every = np.arange(LEVELS + 2)
+    next_up = np.append(values, LEVELS + 1)[values.searchsorted(every)]
+    next_down = np.append(-1.0, values)[values.searchsorted(every, "right")]
+    next_down[-1] = -1
     for _ in range(ROUNDS):
         least, most = rising @ below + falling @ above, rising @ above + falling @ below
         before = below, above
@@ -82,10 +88,12 @@ def narrowed(
             last = (high[rows] - (least[rows] - np.minimum(*ends))) / own
             below = np.maximum(below, np.ceil(np.minimum(first, last) - TIE))
             above = np.minimum(above, np.floor(np.maximum(first, last) + TIE))
+        below = next_up[below.clip(0, LEVELS + 1).astype(int)]
+        above = next_down[above.clip(-1, LEVELS).astype(int)]
         done = (below == before[0]).all() and (above == before[1]).all()
         if done or (below > above).mean() > CONTRADICTED:
             break
-    return below.clip(0, LEVELS + 1), above.clip(-1, LEVELS)
+    return below, above
 
 
 def _seen_in(weights: sparse.csr_array) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -104,9 +112,12 @@ def _seen_in(weights: sparse.csr_array) -> list[tuple[np.ndarray, np.ndarray]]:
     return found
 
 
-def bytes_before(levels: np.ndarray, valid: np.ndarray, resize: Resize) -> Bounds:
-    """The bounds of the picture of which a ``resize``, columns first and rounded to bytes in
-    between, made the ``levels`` (H, W, c), of which those that are ``valid`` (H, W) are known."""
+def bytes_before(
+    levels: np.ndarray, valid: np.ndarray, resize: Resize, values: np.ndarray = EVERY_BYTE
+) -> Bounds:
+    """The bounds of the picture, of ``values`` (v,) in order, of which a ``resize``, columns first
+    and rounded to bytes in between, made the ``levels`` (H, W, c), of which those that are
+    ``valid`` (H, W) are known."""
     shown = valid[..., None]
     low, high = np.where(shown, levels, 0.0), np.where(shown, levels, LEVELS)
     contradicted = 0.0
@@ -115,7 +126,9 @@ def bytes_before(levels: np.ndarray, valid: np.ndarray, resize: Resize) -> Bound
         low, high = np.where(low > high, 0.0, low), np.where(low > high, LEVELS, high)
         lines = [np.moveaxis(z.astype(np.float64), axis, 0) for z in (low, high)]
         rest = lines[0].shape[1:]
-        columns = narrowed(*(z.reshape(len(z), -1) for z in lines), weights)
+        # Rows come last, and what they were made of is any byte.
+        own = EVERY_BYTE if axis == 0 else values
+        columns = narrowed(*(z.reshape(len(z), -1) for z in lines), weights, own)
         low, high = (np.moveaxis(z.reshape(-1, *rest), 0, axis) for z in columns)
         contradicted = max(contradicted, float((low > high).mean()))
     return Bounds(low, high, contradicted)

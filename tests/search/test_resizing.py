@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from godfit.io.resampling import KERNELS
-from godfit.search.resizing import before_resize, few_values, resize_weights, snapped
+from godfit.io.resampling import KERNELS, resize_weights
+from godfit.search.resizing import before_resize, few_values, snapped
 
 FILTERS = {
     "box": Image.Resampling.BOX,
