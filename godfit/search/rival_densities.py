@@ -32,7 +32,7 @@ NEAR_BANDS = (-2, -1, 1, 2)
 LIKELIER = 0.5
 """Gain in log-likelihood from which another density takes the fit's place."""
 ROUNDS = 3
-"""Times that it does, at most."""
+"""Times that densities are tried, at most."""
 
 
 def with_rivals(found: Found) -> Found:
@@ -41,13 +41,13 @@ def with_rivals(found: Found) -> Found:
     problem = found.problem
     if not problem.model.banded or found.settled.sigma >= WITHIN_ROUNDING:
         return found
-    for _ in range(ROUNDS):
+    for left in reversed(range(ROUNDS)):
         along, width, doubtful = bands_at(found.settled, found.evidence, problem)
         if not doubtful:
             return found
         rivals = _rivals(found, along, width)
         best = max(rivals, key=lambda one: one.log_likelihood, default=found.settled)
-        if best.log_likelihood < found.settled.log_likelihood + LIKELIER:
+        if not left or best.log_likelihood < found.settled.log_likelihood + LIKELIER:
             return found.replaced(shifts=(*found.shifts, *_shifts(found, rivals, along, width)))
         found = _moved(found, best)
     return found
@@ -94,7 +94,7 @@ def _shifts(found: Found, rivals: list[Settled], along: int, width: float) -> li
     bands = max(span / FAR_PLACES / width, 1.0)
     reach = (max(NEAR_BANDS) + 0.5) * width
     weights = [
-        math.exp(one.log_likelihood - own.log_likelihood)
+        math.exp(min(one.log_likelihood - own.log_likelihood, 0.0))
         * (1.0 if abs(one.coordinates[along] - own.coordinates[along]) < reach else bands)
         for one in rivals
     ]
