@@ -18,6 +18,7 @@ import pytest
 import godfit.blind.bare_fit
 import godfit.blind.two_screenshots
 import godfit.fitting
+import godfit.fitting.posing
 import godfit.scenes.view
 import godfit.studies.clip
 import godfit.studies.simplify
@@ -109,9 +110,11 @@ def without_search(monkeypatch):
         raise Reached
 
     monkeypatch.setattr(godfit.fitting, "search", reached)
-    monkeypatch.setattr(godfit.fitting, "refined_mask", lambda _, problem, *rest: problem.picture)
+    monkeypatch.setattr(
+        godfit.fitting.posing, "refined_mask", lambda _, problem, *rest: problem.picture
+    )
     # The rasteriser takes ten seconds to compile, and has tests of its own.
-    for module in (godfit.fitting, godfit.scenes.view):
+    for module in (godfit.fitting.posing, godfit.scenes.view):
         monkeypatch.setattr(module, "drawn_mask", lambda scene, *rest: np.eye(*scene.size))
     for module in (godfit.blind.bare_fit, godfit.blind.two_screenshots):
         monkeypatch.setattr(module, "found_in", reached)

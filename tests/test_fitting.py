@@ -386,7 +386,7 @@ def test_only_what_is_open_is_tried(monkeypatch, tmp_path):
 
     monkeypatch.setattr("godfit.fitting.search", recorded)
     drawn = lambda scene, antialias: np.ones(scene.size, np.float32)  # noqa: E731
-    monkeypatch.setattr("godfit.fitting.drawn_mask", drawn)
+    monkeypatch.setattr("godfit.fitting.posing.drawn_mask", drawn)
     target, mask = picture(3)
     low = mask[::2, ::2]
     for options in (

@@ -112,9 +112,19 @@ def _along(
     axis: int, picture: np.ndarray, function: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
     """A ``function`` of columns (n, k), (m, k), applied along one axis."""
+    return picture_of(function(columns_of(picture, axis)), axis, picture.shape)
+
+
+def columns_of(picture: np.ndarray, axis: int) -> np.ndarray:
+    """(n, k) the values of a ``picture`` along one axis, in a column each."""
     lines = np.moveaxis(picture, axis, 0)
-    columns = function(lines.reshape(len(lines), -1))
-    return np.moveaxis(columns.reshape(len(columns), *lines.shape[1:]), 0, axis)
+    return lines.reshape(len(lines), -1)
+
+
+def picture_of(columns: np.ndarray, axis: int, shape: tuple[int, ...]) -> np.ndarray:
+    """The picture of which these are the ``columns_of``; its other sides are those of ``shape``."""
+    others = shape[:axis] + shape[axis + 1 :]
+    return np.moveaxis(columns.reshape(len(columns), *others), 0, axis)
 
 
 def _band(weights: sparse.csr_array, n: int) -> np.ndarray:

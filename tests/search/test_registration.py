@@ -8,7 +8,7 @@ import godfit
 from godfit.errors import InputError
 from godfit.inference.allowances.mask_rounding import edge_blur, edge_variance
 from godfit.report.record import fit_record
-from godfit.search import registration
+from godfit.search.registration.maps import Map
 from tests.support import distortions, random_targets
 
 # One more than the pictures of other tests, whose programs the cropped one shares.
@@ -18,10 +18,10 @@ SIZE = 97
 def test_a_map_of_whole_pixels_is_a_crop():
     rng = np.random.default_rng(0)
     mask = rng.random((12, 15)).astype(np.float32)
-    crop = registration.Map(np.ones(2), np.array([2.0, 1.0])).applied(mask, (9, 11))
+    crop = Map(np.ones(2), np.array([2.0, 1.0])).applied(mask, (9, 11))
     np.testing.assert_array_equal(crop, mask[2:11, 1:12])
-    corners = registration.Map(np.array([1.1, 0.9]), np.array([2.0, -1.0])).corners((9, 11))
-    found = registration.Map.of(corners, (9, 11))
+    corners = Map(np.array([1.1, 0.9]), np.array([2.0, -1.0])).corners((9, 11))
+    found = Map.of(corners, (9, 11))
     np.testing.assert_allclose([found.scale, found.shift], [[1.1, 0.9], [2, -1]])
 
 

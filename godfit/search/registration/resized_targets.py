@@ -20,7 +20,7 @@ import numpy as np
 from godfit.inference.observation import Picture
 from godfit.io.image import LEVELS
 from godfit.io.jpeg import was_jpeg
-from godfit.io.resampling import KERNELS, Resize
+from godfit.io.resampling import KERNELS, Resize, columns_of, picture_of
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -124,12 +124,10 @@ def bytes_before(
     for axis, weights in enumerate(resize.weights):
         # Where bounds exclude each other, nothing is known.
         low, high = np.where(low > high, 0.0, low), np.where(low > high, LEVELS, high)
-        lines = [np.moveaxis(z.astype(np.float64), axis, 0) for z in (low, high)]
-        rest = lines[0].shape[1:]
         # Rows come last, and what they were made of is any byte.
         own = EVERY_BYTE if axis == 0 else values
-        columns = narrowed(*(z.reshape(len(z), -1) for z in lines), weights, own)
-        low, high = (np.moveaxis(z.reshape(-1, *rest), 0, axis) for z in columns)
+        shape, columns = low.shape, [columns_of(z.astype(np.float64), axis) for z in (low, high)]
+        low, high = (picture_of(z, axis, shape) for z in narrowed(*columns, weights, own))
         contradicted = max(contradicted, float((low > high).mean()))
     return Bounds(low, high, contradicted)
 

@@ -10,7 +10,7 @@ from godfit.inference.observation import Picture
 from godfit.io.image import LEVELS
 from godfit.io.resampling import KERNELS, Resize, resize_weights
 from godfit.io.sources import read_source
-from godfit.search.resized_bytes import before_resize, bytes_before, narrowed
+from godfit.search.registration.resized_targets import before_resize, bytes_before, narrowed
 from tests.support import distortions, random_targets
 
 SIZE = (96, 80)

@@ -14,7 +14,7 @@ import numpy as np
 
 from godfit.io.image import LEVELS
 from godfit.io.resampling import KERNELS, Resize
-from godfit.search.resized_bytes import bytes_before
+from godfit.search.registration.resized_targets import bytes_before
 
 MOST_VALUES = 8
 """Values of a mask that is in few colours, at most: a clear colour, a light, and a few objects."""

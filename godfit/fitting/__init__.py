@@ -6,7 +6,7 @@ import dataclasses
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -14,21 +14,19 @@ import numpy as np
 # Importing this registers the searches of the models with a mask.
 import godfit.search  # noqa: F401
 from godfit.errors import InputError, Remark
+from godfit.fitting.posing import Posed, pose, target_of, without_values
 from godfit.flatland.canvas import Canvas
-from godfit.inference.allowances.prior import checked_prior
 from godfit.inference.fitted import Found
 from godfit.inference.problem import (
     MAX_VALUES,
     Problem,
     check_size,
     checked_picture,
-    given_and_held,
 )
-from godfit.inference.strategy import Effort, left_open, refined_mask, search
+from godfit.inference.strategy import Effort, search
 from godfit.io.image import Image, decode
-from godfit.io.sources import FLIPS, Source, occluder_mask, read_source, turned, without_holes
-from godfit.models.base import AbstractModel
-from godfit.models.build import mitchell_template, staged_template, template
+from godfit.io.sources import Source, occluder_mask, read_source, turned
+from godfit.models.build import mitchell_template
 from godfit.models.mitchell import Mitchell
 from godfit.models.tinted import Tinted
 from godfit.report.result import FitResult
@@ -37,21 +35,10 @@ from godfit.request import Request
 from godfit.runtime.compile_time import compile_seconds
 from godfit.runtime.guest import as_guest
 from godfit.scenes.scene import Scene
-from godfit.scenes.view import (
-    as_sky_mask,
-    drawn_mask,
-    light_on_screen,
-    scene_at_pass_size,
-)
-from godfit.search import conventions, registration
+from godfit.search import conventions
 
 if TYPE_CHECKING:
     from godfit.blind import light_pass, two_screenshots
-
-NO_VALUES = np.zeros((0, 0), np.float32)
-"""Stands for the values of an image of which only the file's name is still needed."""
-UNKNOWN_SCALE = 1.0
-"""Exposure that is held where no picture determines it and its shader publishes none."""
 
 
 def fit(
@@ -224,7 +211,7 @@ def found_for(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     if request.bare:
         return _fit_bare(request)
     request, found_out = _with_shader(request)
-    posed = _ready(request)
+    posed = pose(request)
     effort = Effort(request.inquire, request.max_values, request.report, _rival(request, posed))
     found = search(posed.problem.model, posed.problem, posed.given, effort)
     found = found.replaced(
@@ -245,12 +232,12 @@ def _with_shader(request: Request) -> tuple[Request, tuple[str, ...]]:
     if request.free:
         words = f"shader: {conventions.GENERAL_SUM} assumed; with --free give --shader"
         return general, (Remark(words, "shader"),)
-    posed = _ready(general)
+    posed = pose(general)
     picture = posed.problem.picture
 
     def rival() -> Problem:
         small = dataclasses.replace(general, pass_scale=conventions.SMALLER_PASS, register=False)
-        return _ready(small).problem
+        return pose(small).problem
 
     whole = picture.mask.shape[:2] == picture.size and posed.unregistered is None
     either = whole and "pass_scale" not in request.settings
@@ -273,7 +260,7 @@ def _with_shader(request: Request) -> tuple[Request, tuple[str, ...]]:
 def _fit_bare(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image]]:
     """The fit of a bare picture, notes, and the images by role."""
     settings = request.settings
-    images = {"target": _target_of(request)}
+    images = {"target": target_of(request)}
     shading = mitchell_template(settings.get("shader", "mitchell"), settings.get("samples"), 1)
     blocked = None
     if request.occluder is not None:
@@ -298,7 +285,7 @@ def _fit_pair(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
     if len(shading.taps) > 1:
         return _fit_scene(request)
     _check_pair(request)
-    target = _target_of(request)
+    target = target_of(request)
     scene = read_source(request.background, request.transfer, "background")
     check_size(scene, target)
     from godfit.blind import light_pass, pair_fit, pair_scene, two_screenshots
@@ -330,8 +317,7 @@ def _fit_pair(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image
 
     settled = pair_fit.alternate(pair, posed, request.report)
     notes = _pair_notes(request, light.blend)
-    stripped = {role: dataclasses.replace(im, values=NO_VALUES) for role, im in images.items()}
-    return settled, notes, stripped
+    return settled, notes, without_values(images)
 
 
 def _check_pair(request: Request) -> None:
@@ -352,7 +338,7 @@ def _check_pair(request: Request) -> None:
 def _fit_scene(request: Request) -> tuple[Found, tuple[str, ...], dict[str, Image]]:
     """The light of two screenshots whose sum is of several passes, for which no mask is solved: by
     a mask of what is not dark in the ordinary pass."""
-    target = _target_of(request)
+    target = target_of(request)
     scene = turned(read_source(request.background, request.transfer, "background"), request.flip)
     check_size(scene, target)
     start = dict(request.start or {})
@@ -396,133 +382,6 @@ def _pair_notes(request: Request, blend: light_pass.Blend) -> tuple[str, ...]:
     return notes
 
 
-def _target_of(request: Request) -> Image:
-    """The target, zero where it is not finite and ignored."""
-    target = read_source(request.target, request.transfer, "target", finite=False)
-    return turned(without_holes(target, request.valid), request.flip)
-
-
-class Posed(NamedTuple):
-    """A problem ready to be solved: parameters ``given`` by name, notes, the images by role without
-    their values, and the scene that the mask was drawn from; ``opened`` and ``shifts`` as in
-    ``Found``; the mask as it was given, ``unregistered``, where it is to be registered; why a fit
-    under it cannot be relied on, ``objection``."""
-
-    problem: Problem
-    given: dict[str, float]
-    notes: tuple[str, ...]
-    images: dict[str, Image]
-    scene: Scene | None
-    opened: tuple[tuple[int, list[int]], ...] = ()
-    unregistered: np.ndarray | None = None
-    shifts: tuple[np.ndarray, ...] = ()
-    objection: str = ""
-
-
-def _pose(request: Request) -> Posed:
-    """The problem of a request, ready to be solved. Raises InputError for images that do not fit
-    together."""
-    settings, scene, notes = request.settings, request.scene, ()
-    images = {"target": _target_of(request)}
-    pass_scale, start = settings.get("pass_scale", 1.0), dict(request.start or {})
-    unregistered = None
-    model: AbstractModel
-    if request.canvas is not None:
-        request.report("rays")
-        from godfit.flatland.fit_setup import prepare_fit
-
-        model, picture, images["canvas"] = prepare_fit(
-            images["target"], request.canvas, request.rays, request.valid
-        )
-    else:
-        assert scene is None or isinstance(scene, Scene)
-        if scene is not None:
-            scene = scene_at_pass_size(scene, images["target"], pass_scale)
-            notes, pass_scale = (
-                tuple(Remark(f"scene: {note}", "scene") for note in scene.notes),
-                1.0,
-            )
-            start = light_on_screen(scene) | start
-        geometry = scene, request.fov, request.distance
-        model, assumed = template(request.kind, settings, request.lights, geometry)
-        notes += assumed
-        if scene is not None:
-            images["mask"] = read_source(_mask_of(scene, model, bool(request.free)), "none")
-        else:
-            assert request.mask is not None
-            images["mask"] = read_source(request.mask, "none", "mask")
-        if request.free:
-            assert scene is not None
-            model = staged_template(model, scene, request.free)
-            start = {name: value for name, value in start.items() if name in model.parameters}
-        if request.background is not None:
-            back = read_source(request.background, request.transfer, "background")
-            images["background"] = turned(back, request.flip)
-        valid = request.valid
-        if valid is not None and request.flip is not None:
-            valid = np.flip(valid, FLIPS[request.flip][1])
-        if request.mask is not None:
-            values, size = images["mask"].values, images["target"].values.shape[:2]
-            unregistered = registration.unregistered(values, size, request.register, pass_scale)
-        if unregistered is not None:
-            whole = registration.fitted_size(unregistered, size)
-            images["mask"] = dataclasses.replace(images["mask"], values=whole)
-        picture = checked_picture(
-            images["target"], images["mask"], images.get("background"), valid, pass_scale,
-            request.channels or model.channels,
-        )  # fmt: skip
-        if request.arithmetic is not None:
-            picture = dataclasses.replace(picture, arithmetic=request.arithmetic)
-    images = {role: dataclasses.replace(im, values=NO_VALUES) for role, im in images.items()}
-    given, held = given_and_held(model, request.held_at, start)
-    free = np.isnan(held) & model.used
-    prior = checked_prior(request.prior or {}, model, held)
-    notes += tuple(
-        Remark(f"prior: {name} = {mean:.6g} +- {sigma:.2g}", "prior")
-        for name, (mean, sigma) in prior.items()
-    )
-    assert scene is None or isinstance(scene, Scene)
-    problem = Problem(model, picture, free, held, request.seed, prior=prior)
-    return Posed(problem, given, notes, images, scene, unregistered=unregistered)
-
-
-def _mask_of(scene: Scene, model: AbstractModel, moves: bool) -> np.ndarray:
-    """The mask that the model reads of a scene. It is anti-aliased where the scene has it so, where
-    the scene ``moves``, and where the model averages the mask anyway."""
-    if model.mask_is_sky:
-        return drawn_mask(as_sky_mask(scene), scene.antialias is not False)
-    return drawn_mask(scene, bool(scene.antialias) or moves)
-
-
-def _ready(request: Request) -> Posed:
-    """The problem of a request with what no picture determines held, and with the mask of a scene
-    refined by the target."""
-    posed = _pose(request)
-    problem, notes, always_open = posed.problem, posed.notes, ()
-    opened = left_open(problem.model, problem)
-    if opened is not None:
-        default = problem.model.defaults.get(opened.name, UNKNOWN_SCALE)
-        value = posed.given.get(opened.name, default)
-        problem = problem.holding(opened.name, value)
-        if opened.note:
-            notes += (opened.note.format(value),)
-        else:
-            partners = [problem.index(partner) for partner in opened.partners]
-            always_open = ((problem.index(opened.name), partners),)
-    if posed.scene is not None:
-        picture = refined_mask(problem.model, problem, posed.scene, posed.given, request.report)
-        problem = problem.replaced(picture=picture)
-    shifts: tuple[np.ndarray, ...] = ()
-    objection = ""
-    if posed.unregistered is not None:
-        moved = registration.registered(problem, posed.unregistered, posed.given, request.report)
-        problem, shifts = moved.problem, moved.shifts
-        notes, objection = (*notes, moved.note), moved.objection
-    return posed._replace(
-        problem=problem, notes=notes, opened=always_open, shifts=shifts, objection=objection
-    )
-
-
 def _rival(request: Request, posed: Posed) -> Callable[[], Problem] | None:
     """The same problem with a light pass of another size, where nothing says which the target has.
     With a mask of the target's size it is the shader's own; with a smaller mask, the target's."""
@@ -536,7 +395,7 @@ def _rival(request: Request, posed: Posed) -> Callable[[], Problem] | None:
     scale = model.convention.pass_scale
     if scale == 1 or picture.mask.shape[:2] != picture.size:
         return None
-    return lambda: _ready(dataclasses.replace(request, pass_scale=scale)).problem
+    return lambda: pose(dataclasses.replace(request, pass_scale=scale)).problem
 
 
 def _scale_of(found: Found, request: Request, posed: Posed) -> float | None:

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from godfit.io.resampling import KERNELS, resize_weights
-from godfit.search.resizing import before_resize, few_values, snapped
+from godfit.search.registration.resized_masks import before_resize, few_values, snapped
 
 FILTERS = {
     "box": Image.Resampling.BOX,
