@@ -23,10 +23,10 @@ def _bilinear(x: np.ndarray) -> np.ndarray:
     return np.maximum(1 - np.abs(x), 0)
 
 
-def _bicubic(x: np.ndarray) -> np.ndarray:
-    """Keys, IEEE ASSP 29 (1981), eq. 15: a = -1/2."""
+def _bicubic(x: np.ndarray, a: float = -0.5) -> np.ndarray:
+    """Keys, IEEE ASSP 29 (1981), eq. 8; a = -1/2 is his choice, eq. 15."""
     x = np.abs(x)
-    near, far = (1.5 * x - 2.5) * x * x + 1, ((2.5 - 0.5 * x) * x - 4) * x + 2
+    near, far = ((a + 2) * x - (a + 3)) * x * x + 1, a * (((x - 5) * x + 8) * x - 4)
     return np.where(x < 1, near, np.where(x < 2, far, 0))
 
 
@@ -40,15 +40,28 @@ def _box(x: np.ndarray) -> np.ndarray:
     return ((x > -0.5) & (x <= 0.5)).astype(float)
 
 
-Kernel = Callable[[np.ndarray], np.ndarray]
-KERNELS: dict[str, tuple[Kernel, float]] = {
-    "box": (_box, 0.5),
-    "bilinear": (_bilinear, 1.0),
-    "bicubic": (_bicubic, 2.0),
-    "lanczos": (_lanczos, 3.0),
+class Kernel(NamedTuple):
+    """A kernel's ``weights`` by distance in pixels, and its ``reach`` to either side; whether that
+    ``widens`` where a picture is made smaller, so that every pixel counts."""
+
+    weights: Callable[[np.ndarray], np.ndarray]
+    reach: float
+    widens: bool = True
+
+
+KERNELS = {
+    "box": Kernel(_box, 0.5),
+    "bilinear": Kernel(_bilinear, 1.0),
+    "bicubic": Kernel(_bicubic, 2.0),
+    "lanczos": Kernel(_lanczos, 3.0),
+    "two taps": Kernel(_bilinear, 1.0, widens=False),
+    "four taps": Kernel(partial(_bicubic, a=-0.75), 2.0, widens=False),
 }
-"""Kernels by name, and how many pixels each reaches to either side; a smaller picture's pixels each
-take as many more of the larger's."""
+"""Kernels by name. The last two are OpenCV's linear and cubic ones."""
+ROUNDED_TWICE = ("box", "bilinear", "bicubic", "lanczos")
+"""Kernels of programs that round to bytes after the rows and after the columns, as Pillow does."""
+ROUNDED_ONCE = ("bilinear", "bicubic", "lanczos", "two taps", "four taps")
+"""Kernels of programs that round at the end alone."""
 
 
 def kernel_taps(size: int, resized: int, name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -57,9 +70,9 @@ def kernel_taps(size: int, resized: int, name: str) -> tuple[np.ndarray, np.ndar
 
     Pixel centres lie at i + 1/2. Beyond the edge there is nothing: such taps have no weight.
     """
-    kernel, reach = KERNELS[name]
+    kernel, reach, widens = KERNELS[name]
     scale = size / resized
-    wide = max(scale, 1.0)
+    wide = max(scale, 1.0) if widens else 1.0
     centre = (np.arange(resized) + 0.5) * scale - 0.5
     taps = np.floor(centre - reach * wide)[:, None] + np.arange(int(2 * reach * wide) + 2)
     weights = kernel((taps - centre[:, None]) / wide) * ((taps >= 0) & (taps < size))

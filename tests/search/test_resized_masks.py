@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from godfit.io.resampling import KERNELS, resize_weights
+from godfit.io.resampling import ROUNDED_TWICE, resize_weights
 from godfit.search.registration.resized_masks import before_resize, few_values, snapped
 
 FILTERS = {
@@ -33,7 +33,7 @@ def _shapes(colours: tuple[int, ...]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("size", [LARGER, SMALLER, (192, 160), (48, 40)])
-@pytest.mark.parametrize("name", KERNELS)
+@pytest.mark.parametrize("name", ROUNDED_TWICE)
 def test_weights_are_those_of_an_image_program(name, size):
     mask = np.random.default_rng(0).integers(0, 256, SIZE, np.uint8)
     rows, columns = (resize_weights(*n, name) for n in zip(SIZE, size, strict=True))
@@ -45,7 +45,7 @@ def test_weights_are_those_of_an_image_program(name, size):
 
 
 @pytest.mark.parametrize("size", [LARGER, SMALLER])
-@pytest.mark.parametrize("name", KERNELS)
+@pytest.mark.parametrize("name", ROUNDED_TWICE)
 def test_a_mask_in_two_colours_is_found_again(name, size):
     mask = _shapes((0, 255))
     resized = np.float32(_resized(mask, size, name)) / 255
@@ -70,7 +70,7 @@ def test_what_was_clipped_is_in_doubt():
     """Beside white, a kernel that overshoots leaves black whatever dark colour was there."""
     mask = _shapes((0, 20, 255))
     resized = np.float32(_resized(mask, LARGER, "bicubic")) / 255
-    one = before_resize(resized, SIZE)[list(KERNELS).index("bicubic") * 2]
+    one = before_resize(resized, SIZE)[list(ROUNDED_TWICE).index("bicubic") * 2]
     assert one.variance is not None
     wrong = np.abs(one.mask * 255 - mask) > 1
     assert wrong.mean() < 0.02

@@ -8,14 +8,20 @@ from PIL import Image
 
 from godfit.inference.observation import Picture
 from godfit.io.image import LEVELS
-from godfit.io.resampling import KERNELS, Resize, resize_weights
+from godfit.io.resampling import ROUNDED_TWICE, Resize, resize_weights
 from godfit.io.sources import read_source
-from godfit.search.registration.resized_targets import before_resize, bytes_before, narrowed
+from godfit.search.registration.resized_targets import (
+    EVERY_BYTE,
+    before_resize,
+    before_rounding,
+    bytes_before,
+    narrowed,
+)
 from tests.support import distortions, random_targets
 
 SIZE = (96, 80)
 LARGER, SMALLER = (97, 81), (95, 79)
-WAYS = list(itertools.product((LARGER, SMALLER), KERNELS))
+WAYS = list(itertools.product((LARGER, SMALLER), ROUNDED_TWICE))
 KNOWN = {LARGER: 0.4, SMALLER: 0.15}
 """Share of pixels that are bounded well, at least; a box leaves nearly all of them alone."""
 
@@ -48,7 +54,7 @@ def test_bounds_hold_what_was_there(size, name):
 def test_noise_is_bounded_too(size):
     """The worst case of edges: no pixel is like its neighbours."""
     picture = np.random.default_rng(0).integers(0, 256, (*SIZE, 3), np.uint8)
-    for name in KERNELS:
+    for name in ROUNDED_TWICE:
         resized = _resized(picture, size, name)
         bounds = bytes_before(resized, np.ones(size, bool), Resize.of(SIZE, size, name))
         assert bounds.contradicted == 0
@@ -65,7 +71,7 @@ def test_bounds_are_those_of_all_pictures_that_would_look_alike():
     for index in rng.integers(0, pairs.shape[1], 40):
         column = made[:, [index]]
         alike = pairs[:, (made == column).all(0)]
-        below, above = narrowed(column, column, weights)
+        below, above = narrowed(*before_rounding(column, column, 0.5), weights, EVERY_BYTE)
         assert (below[:, 0] <= alike.min(1)).all()
         assert (above[:, 0] >= alike.max(1)).all()
         assert (above - below)[:, 0].max() <= np.ptp(alike, axis=1).max() + 1
@@ -90,7 +96,9 @@ def test_a_pixel_that_the_resize_dropped_may_be_anything():
     weights.data[weights.data < 0.9] = 0
     weights.eliminate_zeros()
     unseen = weights.toarray().sum(0) == 0
-    below, above = narrowed(weights @ column, weights @ column, weights)
+    below, above = narrowed(
+        *before_rounding(weights @ column, weights @ column, 0.5), weights, EVERY_BYTE
+    )
     assert unseen.any()
     assert (below[unseen] == 0).all()
     assert (above[unseen] == LEVELS).all()

@@ -133,6 +133,10 @@ def registered(
     targets = _targets_before_resize(maps, begun[0])
     kinds = [[_cropped(maps, *pair) for pair in crops[:1]], masks, targets]
     sure = _without_noise([kind for kind in kinds if kind], report)
+    if sure is None:
+        rounded_once = _targets_before_resize(maps, begun[0], once=True)
+        targets += rounded_once
+        sure = _without_noise([rounded_once], report) if rounded_once else None
     if sure is not None:
         return _with_doubt(sure, before, ())
     # A crop may resemble a resize: the best crop and the same frame both go on.
@@ -165,18 +169,20 @@ def _masks_before_resize(maps: MapFit, frame: Map, start: Settled) -> list[Expla
     return found
 
 
-def _targets_before_resize(maps: MapFit, start: Settled) -> list[Explanation]:
-    """The target as it was at the mask's size, by each kernel. One that is not in bytes is
-    interpolated from a light pass of that size instead."""
+def _targets_before_resize(maps: MapFit, start: Settled, once: bool = False) -> list[Explanation]:
+    """The target as it was at the mask's size, by each kernel of programs that rounded twice or
+    ``once``. One that is not in bytes is interpolated from a light pass of that size instead."""
     if is_larger(maps.mask.shape[:2], maps.size):
         return []
     settled, _, problem = maps.under(maps.mask, start.coordinates)
-    pictures = resized_targets.before_resize(problem.picture, maps.mask.shape[:2])
+    pictures = resized_targets.before_resize(problem.picture, maps.mask.shape[:2], once)
     found = []
     for kernel, picture in pictures.items():
         one = Explanation(problem.replaced(picture=picture), settled, kernel=kernel)
         found.append(one.settled_from(settled.coordinates, SEARCH_PIXELS))
-    return found or [Explanation(problem, settled, kernel="bilinear")]
+    if not found and not once:
+        found = [Explanation(problem, settled, kernel="bilinear")]
+    return found
 
 
 def _without_noise(kinds: list[list[Explanation]], report: Report) -> Explanation | None:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from godfit.io.image import LEVELS
-from godfit.io.resampling import KERNELS, Resize
+from godfit.io.resampling import ROUNDED_TWICE, Resize
 from godfit.search.registration.resized_targets import bytes_before
 
 MOST_VALUES = 8
@@ -32,7 +32,7 @@ class Before(NamedTuple):
 
 def before_resize(mask: np.ndarray, size: tuple[int, int]) -> list[Before]:
     """The ``mask`` (H, W, ...) as it was at ``size`` (h, w), if it was resized from that by each of
-    ``KERNELS``, in few colours first where it has few. Empty where it has that size."""
+    ``ROUNDED_TWICE``, in few colours first where it has few. Empty where it has that size."""
     if mask.shape[:2] == size:
         return []
     levels = mask.reshape(*mask.shape[:2], -1) * np.float32(LEVELS)
@@ -44,7 +44,7 @@ def before_resize(mask: np.ndarray, size: tuple[int, int]) -> list[Before]:
         return np.round(mask * LEVELS) / LEVELS if whole_bytes else mask
 
     found = []
-    for name in KERNELS:
+    for name in ROUNDED_TWICE:
         resize = Resize.of(size, mask.shape[:2], name)
         grey = resize.undone(mask, allowed).astype(np.float32)
         whole = None

@@ -20,7 +20,13 @@ import numpy as np
 from godfit.inference.observation import Picture
 from godfit.io.image import LEVELS
 from godfit.io.jpeg import was_jpeg
-from godfit.io.resampling import KERNELS, Resize, columns_of, picture_of
+from godfit.io.resampling import (
+    ROUNDED_ONCE,
+    ROUNDED_TWICE,
+    Resize,
+    columns_of,
+    picture_of,
+)
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -32,6 +38,10 @@ ROUNDS = 20
 """Rounds in which bounds are narrowed, at most."""
 TIE = 1e-6
 """Levels within which a program may have rounded up or down."""
+FIXED_POINT = 0.3
+"""Levels by which weights of few bits may be off, as those of OpenCV's bilinear resize are."""
+LEAST_MOVE = 1e-2
+"""Levels below which bounds move no more."""
 LEAST_WEIGHT = 1e-6
 """Weights below which a pixel is not seen: they are zeros of a kernel, computed in float64."""
 WIDEST = 2.0
@@ -59,41 +69,55 @@ class Bounds(NamedTuple):
 
 
 def narrowed(
-    low: np.ndarray, high: np.ndarray, weights: sparse.csr_array, values: np.ndarray = EVERY_BYTE
+    low: np.ndarray,
+    high: np.ndarray,
+    weights: sparse.csr_array,
+    values: np.ndarray | None,
+    ends: tuple[float, float] = (0.0, LEVELS),
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(n, k) bounds in levels of the bytes, some of ``values`` (v,) in order, of k columns of which
-    ``weights`` (m, n) made columns with bytes from ``low`` to ``high`` (m, k)."""
-    low = np.where(low <= 0, -np.inf, low - HALF_LEVEL)
-    high = np.where(high >= LEVELS, np.inf, high + HALF_LEVEL)
+    """(n, k) bounds in levels of k columns of which ``weights`` (m, n) made columns from ``low`` to
+    ``high`` (m, k): of bytes that are some of ``values`` (v,), in order; where these are None, of
+    numbers between two ``ends``."""
     weights = weights.copy()
     weights.data[np.abs(weights.data) < LEAST_WEIGHT] = 0
     weights.eliminate_zeros()
     rising, falling = weights.maximum(0), weights.minimum(0)
     seen = _seen_in(weights)
-    below = np.full((len(seen[0][0]), low.shape[1]), values[0])
-    above = np.full_like(below, values[-1])
-    # By byte, the nearest of the values up and down from it. Beyond the ends there is one more, so
-    # that bounds that exclude each other are seen; index -1 is the last.
-    every = np.arange(LEVELS + 2)
-    next_up = np.append(values, LEVELS + 1)[values.searchsorted(every)]
-    next_down = np.append(-1.0, values)[values.searchsorted(every, "right")]
-    next_down[-1] = -1
+    if values is not None:
+        ends = float(values[0]), float(values[-1])
+    below = np.full((len(seen[0][0]), low.shape[1]), ends[0])
+    above = np.full_like(below, ends[1])
     for _ in range(ROUNDS):
         least, most = rising @ below + falling @ above, rising @ above + falling @ below
         before = below, above
         for rows, own in seen:
-            ends = own * before[0], own * before[1]
+            parts = own * before[0], own * before[1]
             # What is left for the pixel's own part, when the others are at their ends.
-            first = (low[rows] - (most[rows] - np.maximum(*ends))) / own
-            last = (high[rows] - (least[rows] - np.minimum(*ends))) / own
-            below = np.maximum(below, np.ceil(np.minimum(first, last) - TIE))
-            above = np.minimum(above, np.floor(np.maximum(first, last) + TIE))
-        below = next_up[below.clip(0, LEVELS + 1).astype(int)]
-        above = next_down[above.clip(-1, LEVELS).astype(int)]
-        done = (below == before[0]).all() and (above == before[1]).all()
-        if done or (below > above).mean() > CONTRADICTED:
+            first = (low[rows] - (most[rows] - np.maximum(*parts))) / own
+            last = (high[rows] - (least[rows] - np.minimum(*parts))) / own
+            below = np.maximum(below, np.minimum(first, last) - TIE)
+            above = np.minimum(above, np.maximum(first, last) + TIE)
+        if values is not None:
+            below, above = _to_values(below, above, values)
+        moved = max((below - before[0]).max(), (before[1] - above).max())
+        if moved < LEAST_MOVE or (below > above).mean() > CONTRADICTED:
             break
     return below, above
+
+
+def _to_values(
+    below: np.ndarray, above: np.ndarray, values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The nearest of ``values`` (v,) up from ``below`` and down from ``above``. Beyond the ends
+    there is one more, so that bounds that exclude each other are seen."""
+    up = np.append(values, LEVELS + 1).astype(float)
+    down = np.append(-1, values).astype(float)
+    every = np.arange(LEVELS + 2)
+    next_up = up[values.searchsorted(every)]
+    # Index -1 is the last.
+    next_down = np.append(down[values.searchsorted(every, "right")][:-1], -1.0)
+    rounded = np.ceil(below).clip(0, LEVELS + 1), np.floor(above).clip(-1, LEVELS)
+    return next_up[rounded[0].astype(int)], next_down[rounded[1].astype(int)]
 
 
 def _seen_in(weights: sparse.csr_array) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -113,38 +137,56 @@ def _seen_in(weights: sparse.csr_array) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def bytes_before(
-    levels: np.ndarray, valid: np.ndarray, resize: Resize, values: np.ndarray = EVERY_BYTE
+    levels: np.ndarray,
+    valid: np.ndarray,
+    resize: Resize,
+    values: np.ndarray = EVERY_BYTE,
+    once: bool = False,
 ) -> Bounds:
-    """The bounds of the picture, of ``values`` (v,) in order, of which a ``resize``, columns first
-    and rounded to bytes in between, made the ``levels`` (H, W, c), of which those that are
-    ``valid`` (H, W) are known."""
-    shown = valid[..., None]
+    """The bounds of the picture, of ``values`` (v,) in order, of which a ``resize``, columns first,
+    made the ``levels`` (H, W, c), of which those that are ``valid`` (H, W) are known. It rounded to
+    bytes in between too, or ``once``."""
+    shown, half = valid[..., None], HALF_LEVEL + (FIXED_POINT if once else 0)
     low, high = np.where(shown, levels, 0.0), np.where(shown, levels, LEVELS)
-    contradicted = 0.0
-    for axis, weights in enumerate(resize.weights):
-        # Where bounds exclude each other, nothing is known.
-        low, high = np.where(low > high, 0.0, low), np.where(low > high, LEVELS, high)
-        # Rows come last, and what they were made of is any byte.
-        own = EVERY_BYTE if axis == 0 else values
-        shape, columns = low.shape, [columns_of(z.astype(np.float64), axis) for z in (low, high)]
-        low, high = (picture_of(z, axis, shape) for z in narrowed(*columns, weights, own))
-        contradicted = max(contradicted, float((low > high).mean()))
-    return Bounds(low, high, contradicted)
+    low, high = before_rounding(low, high, half)
+    # Rows come last. What they were made of is any byte, or a number that may overshoot.
+    rows, columns = resize.weights
+    ends = tuple(LEVELS * float(z.sum(1).min()) for z in (columns.minimum(0), -columns.maximum(0)))
+    own = None if once else EVERY_BYTE
+    between = narrowed(columns_of(low, 0), columns_of(high, 0), rows, own, (ends[0], -ends[1]))
+    low, high = (picture_of(z, 0, levels.shape) for z in between)
+    contradicted = float((low > high).mean())
+    # Where bounds exclude each other, nothing is known.
+    low, high = np.where(low > high, -np.inf, low), np.where(low > high, np.inf, high)
+    if not once:
+        low, high = before_rounding(low, high, half)
+    shape, before = low.shape, narrowed(columns_of(low, 1), columns_of(high, 1), columns, values)
+    low, high = (picture_of(z, 1, shape) for z in before)
+    return Bounds(low, high, max(contradicted, float((low > high).mean())))
 
 
-def before_resize(picture: Picture, size: tuple[int, int]) -> dict[str, Picture]:
-    """The ``picture`` as it was at ``size`` (h, w), by each of ``KERNELS`` that may have resized
-    it: those without a contradiction, or all with few where each has some, as programs differ in
-    what they round. Empty where it is not in bytes, or was changed after that, or has a
-    background."""
+def before_rounding(
+    low: np.ndarray, high: np.ndarray, half: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """What is rounded to bytes from ``low`` to ``high``, by at most ``half``, after it was clipped
+    to black and white."""
+    return np.where(low <= 0, -np.inf, low - half), np.where(high >= LEVELS, np.inf, high + half)
+
+
+def before_resize(
+    picture: Picture, size: tuple[int, int], once: bool = False
+) -> dict[str, Picture]:
+    """The ``picture`` as it was at ``size`` (h, w), by each of the kernels of ``ROUNDED_TWICE`` or
+    ``once`` that may have resized it: those without a contradiction, or all with few where each has
+    some. Empty where it is not in bytes, or was changed after that, or has a background."""
     jpeg = picture.half > 0 and was_jpeg(picture.levels[..., 0])
     exact = picture.half == HALF_LEVEL and picture.rounding is None
     if not exact or jpeg or picture.background is not None:
         return {}
     found: dict[str, tuple[Bounds, Resize]] = {}
-    for name in KERNELS:
+    for name in ROUNDED_ONCE if once else ROUNDED_TWICE:
         resize = Resize.of(size, picture.size, name)
-        bounds = bytes_before(picture.levels, picture.valid, resize)
+        bounds = bytes_before(picture.levels, picture.valid, resize, once=once)
         if bounds.contradicted < CONTRADICTED and bounds.known.any():
             found[name] = bounds, resize
     least = min((bounds.contradicted for bounds, _ in found.values()), default=0.0)
