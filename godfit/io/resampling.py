@@ -30,9 +30,9 @@ def _bicubic(x: np.ndarray, a: float = -0.5) -> np.ndarray:
     return np.where(x < 1, near, np.where(x < 2, far, 0))
 
 
-def _lanczos(x: np.ndarray) -> np.ndarray:
-    """Lanczos with three lobes (Duchon, J. Appl. Meteorology 18 (1979))."""
-    return np.where(np.abs(x) < 3, np.sinc(x) * np.sinc(x / 3), 0)
+def _lanczos(x: np.ndarray, lobes: int = 3) -> np.ndarray:
+    """Lanczos (Duchon, J. Appl. Meteorology 18 (1979))."""
+    return np.where(np.abs(x) < lobes, np.sinc(x) * np.sinc(x / lobes), 0)
 
 
 def _box(x: np.ndarray) -> np.ndarray:
@@ -40,56 +40,77 @@ def _box(x: np.ndarray) -> np.ndarray:
     return ((x > -0.5) & (x <= 0.5)).astype(float)
 
 
-class Kernel(NamedTuple):
-    """A kernel's ``weights`` by distance in pixels, and its ``reach`` to either side; whether that
-    ``widens`` where a picture is made smaller, so that every pixel counts."""
-
-    weights: Callable[[np.ndarray], np.ndarray]
-    reach: float
-    widens: bool = True
+def _overlap(x: np.ndarray, scale: float) -> np.ndarray:
+    """The part of a pixel that lies within another picture's pixel of ``scale`` times its size."""
+    ends = np.minimum(0.5, x + scale / 2) - np.maximum(-0.5, x - scale / 2)
+    return np.maximum(ends, 0) / scale
 
 
-KERNELS = {
-    "box": Kernel(_box, 0.5),
-    "bilinear": Kernel(_bilinear, 1.0),
-    "bicubic": Kernel(_bicubic, 2.0),
-    "lanczos": Kernel(_lanczos, 3.0),
-    "two taps": Kernel(_bilinear, 1.0, widens=False),
-    "four taps": Kernel(partial(_bicubic, a=-0.75), 2.0, widens=False),
+def _wider(kernel: Callable[[np.ndarray], np.ndarray]) -> Kernel:
+    """A kernel that is as much wider as a picture is made smaller, so that every pixel counts."""
+    return lambda x, scale: kernel(x / max(scale, 1.0))
+
+
+def _as_wide(kernel: Callable[[np.ndarray], np.ndarray]) -> Kernel:
+    """A kernel that drops pixels where a picture is made smaller."""
+    return lambda x, scale: kernel(x)
+
+
+Kernel = Callable[[np.ndarray, float], np.ndarray]
+"""Weights by distance in pixels, and by how many pixels were made one."""
+KERNELS: dict[str, tuple[Kernel, float]] = {
+    "box": (_wider(_box), 0.5),
+    "bilinear": (_wider(_bilinear), 1.0),
+    "bicubic": (_wider(_bicubic), 2.0),
+    "lanczos": (_wider(_lanczos), 3.0),
+    "area": (_overlap, 1.0),
+    "two taps": (_as_wide(_bilinear), 1.0),
+    "four taps": (_as_wide(partial(_bicubic, a=-0.75)), 2.0),
+    "eight taps": (_as_wide(partial(_lanczos, lobes=4)), 4.0),
 }
-"""Kernels by name. The last two are OpenCV's linear and cubic ones."""
+"""Kernels by name, and how many pixels each reaches to either side; a smaller picture's pixels each
+take as many more of the larger's."""
 ROUNDED_TWICE = ("box", "bilinear", "bicubic", "lanczos")
 """Kernels of programs that round to bytes after the rows and after the columns, as Pillow does."""
-ROUNDED_ONCE = ("bilinear", "bicubic", "lanczos", "two taps", "four taps")
-"""Kernels of programs that round at the end alone."""
+ROUNDED_ONCE = (
+    "bilinear", "bicubic", "lanczos", "area", "two taps", "four taps", "eight taps",
+)  # fmt: skip
+"""Kernels of programs that round at the end alone. The last four are OpenCV's."""
 
 
-def kernel_taps(size: int, resized: int, name: str) -> tuple[np.ndarray, np.ndarray]:
+def kernel_taps(size: int, resized: int, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(resized, k) the pixels that make up each pixel of a side of ``resized`` ones, and their
-    weights, where the side had ``size``.
+    weights, where the side had ``size``; and (resized,) whether all of them are in the picture.
 
     Pixel centres lie at i + 1/2. Beyond the edge there is nothing: such taps have no weight.
     """
-    kernel, reach, widens = KERNELS[name]
+    kernel, reach = KERNELS[name]
     scale = size / resized
-    wide = max(scale, 1.0) if widens else 1.0
+    wide = reach * max(scale, 1.0)
     centre = (np.arange(resized) + 0.5) * scale - 0.5
-    taps = np.floor(centre - reach * wide)[:, None] + np.arange(int(2 * reach * wide) + 2)
-    weights = kernel((taps - centre[:, None]) / wide) * ((taps >= 0) & (taps < size))
+    taps = np.floor(centre - wide)[:, None] + np.arange(int(2 * wide) + 2)
+    weights = kernel(taps - centre[:, None], scale)
+    there = (taps >= 0) & (taps < size)
+    inside = (there | (weights == 0)).all(1)
+    weights = weights * there
     weights /= weights.sum(1, keepdims=True)
-    return taps.clip(0, size - 1).astype(int), weights
+    return taps.clip(0, size - 1).astype(int), weights, inside
 
 
 class Resize(NamedTuple):
-    """A resize of rows and of columns: by axis, what is multiplied with, and ``_band`` of it."""
+    """A resize of rows and of columns: by axis, what is multiplied with, ``_band`` of it, and which
+    of the new lines do not depend on what a program assumes beyond the edge."""
 
     weights: list[sparse.csr_array]
     bands: list[np.ndarray]
+    inside: list[np.ndarray]
 
     @staticmethod
     def of(size: tuple[int, ...], resized: tuple[int, ...], name: str) -> Resize:
-        weights = [resize_weights(*n, name) for n in zip(size, resized, strict=True)]
-        return Resize(weights, [_band(*one) for one in zip(weights, size, strict=True)])
+        sides = list(zip(size, resized, strict=True))
+        weights = [resize_weights(*n, name) for n in sides]
+        bands = [_band(*one) for one in zip(weights, size, strict=True)]
+        return Resize(weights, bands, [kernel_taps(*n, name)[2] for n in sides])
 
     def undone(
         self, resized: np.ndarray, allowed: Callable[[np.ndarray], np.ndarray]
@@ -157,7 +178,7 @@ def resize_weights(size: int, resized: int, name: str) -> sparse.csr_array:
     see ``kernel_taps``."""
     from scipy import sparse
 
-    taps, weights = kernel_taps(size, resized, name)
+    taps, weights, _ = kernel_taps(size, resized, name)
     rows = np.broadcast_to(np.arange(resized)[:, None], taps.shape)
     used = weights != 0
     return sparse.csr_array((weights[used], (rows[used], taps[used])), shape=(resized, size))

@@ -66,16 +66,19 @@ def test_a_mask_in_all_colours_is_nearly_found_again(channels):
     assert error < 6
 
 
-def test_what_was_clipped_is_in_doubt():
+@pytest.mark.parametrize("size", [LARGER, SMALLER])
+@pytest.mark.parametrize("name", ["bicubic", "lanczos"])
+def test_what_was_clipped_is_found_or_in_doubt(name, size):
     """Beside white, a kernel that overshoots leaves black whatever dark colour was there."""
     mask = _shapes((0, 20, 255))
-    resized = np.float32(_resized(mask, LARGER, "bicubic")) / 255
-    one = before_resize(resized, SIZE)[list(ROUNDED_TWICE).index("bicubic") * 2]
+    resized = np.float32(_resized(mask, size, name)) / 255
+    found = before_resize(resized, SIZE)
+    one = min(found, key=lambda one: (np.abs(one.mask * 255 - mask) > 1).sum())
     assert one.variance is not None
     wrong = np.abs(one.mask * 255 - mask) > 1
-    assert wrong.mean() < 0.02
-    assert np.median(np.sqrt(one.variance[wrong]) * 255) > 2
-    assert np.median(one.variance[~wrong]) < (1 / 255) ** 2
+    assert wrong.mean() < 2e-3
+    assert (np.sqrt(one.variance[wrong]) * 255 > 2).all()
+    assert (one.variance > 0).mean() < 0.01
 
 
 def test_a_mask_of_its_size_is_as_it_was():

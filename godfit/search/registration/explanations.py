@@ -132,11 +132,14 @@ def registered(
     masks = _masks_before_resize(maps, frame, begun[0])
     targets = _targets_before_resize(maps, begun[0])
     kinds = [[_cropped(maps, *pair) for pair in crops[:1]], masks, targets]
-    sure = _without_noise([kind for kind in kinds if kind], report)
+    sure = _without_noise(kinds, report)
     if sure is None:
-        rounded_once = _targets_before_resize(maps, begun[0], once=True)
-        targets += rounded_once
-        sure = _without_noise([rounded_once], report) if rounded_once else None
+        kinds = [
+            _masks_before_resize(maps, frame, begun[0], once=True),
+            _targets_before_resize(maps, begun[0], once=True),
+        ]
+        masks, targets = masks + kinds[0], targets + kinds[1]
+        sure = _without_noise(kinds, report)
     if sure is not None:
         return _with_doubt(sure, before, ())
     # A crop may resemble a resize: the best crop and the same frame both go on.
@@ -160,10 +163,13 @@ def _cropped(maps: MapFit, whole: Map, start: Settled) -> Explanation:
     return Explanation(problem, settled, whole)
 
 
-def _masks_before_resize(maps: MapFit, frame: Map, start: Settled) -> list[Explanation]:
-    """The mask as it was at the target's size, by each kernel."""
+def _masks_before_resize(
+    maps: MapFit, frame: Map, start: Settled, once: bool = False
+) -> list[Explanation]:
+    """The mask as it was at the target's size, by each kernel of programs that rounded twice or
+    ``once``."""
     found = []
-    for before in resized_masks.before_resize(maps.mask, maps.size):
+    for before in resized_masks.before_resize(maps.mask, maps.size, once):
         settled, _, problem = maps.under(before.mask, start.coordinates)
         found.append(Explanation(problem, settled, frame, before.variance))
     return found
@@ -187,7 +193,7 @@ def _targets_before_resize(maps: MapFit, start: Settled, once: bool = False) -> 
 
 def _without_noise(kinds: list[list[Explanation]], report: Report) -> Explanation | None:
     """The explanation that leaves rounding alone, at the right density; None where none does."""
-    kinds = sorted(kinds, key=lambda kind: _least(kind).settled.sigma)
+    kinds = sorted(filter(None, kinds), key=lambda kind: _least(kind).settled.sigma)
     for kind in kinds:
         if _least(kind).settled.sigma > LIKELY * _least(kinds[0]).settled.sigma:
             break

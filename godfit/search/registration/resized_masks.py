@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from godfit.io.image import LEVELS
-from godfit.io.resampling import ROUNDED_TWICE, Resize
+from godfit.io.resampling import ROUNDED_ONCE, ROUNDED_TWICE, Resize
 from godfit.search.registration.resized_targets import bytes_before
 
 MOST_VALUES = 8
@@ -30,9 +30,11 @@ class Before(NamedTuple):
     variance: np.ndarray | None = None
 
 
-def before_resize(mask: np.ndarray, size: tuple[int, int]) -> list[Before]:
+def before_resize(mask: np.ndarray, size: tuple[int, int], once: bool = False) -> list[Before]:
     """The ``mask`` (H, W, ...) as it was at ``size`` (h, w), if it was resized from that by each of
-    ``ROUNDED_TWICE``, in few colours first where it has few. Empty where it has that size."""
+    the kernels of ``ROUNDED_TWICE``, in few colours first where it has few. Of programs that
+    rounded ``once`` only masks in few colours are found: others are the same. Empty where the mask
+    has that size."""
     if mask.shape[:2] == size:
         return []
     levels = mask.reshape(*mask.shape[:2], -1) * np.float32(LEVELS)
@@ -44,31 +46,31 @@ def before_resize(mask: np.ndarray, size: tuple[int, int]) -> list[Before]:
         return np.round(mask * LEVELS) / LEVELS if whole_bytes else mask
 
     found = []
-    for name in ROUNDED_TWICE:
+    for name in ROUNDED_ONCE if once else ROUNDED_TWICE:
         resize = Resize.of(size, mask.shape[:2], name)
         grey = resize.undone(mask, allowed).astype(np.float32)
         whole = None
         if values is not None and whole_bytes:
-            whole = _in_few(grey, np.round(levels), resize, values)
+            whole = _in_few(grey, np.round(levels), resize, values, once)
         if whole is not None:
             found.append(whole)
-            continue
-        if values is not None:
-            few = resize.undone(mask, partial(snapped, values=values)).astype(np.float32)
-            # What the resize left undetermined lies between two colours.
-            found.append(Before(few, (few - grey) ** 2))
-        found.append(Before(grey))
+        elif not once:
+            if values is not None:
+                few = resize.undone(mask, partial(snapped, values=values)).astype(np.float32)
+                # What the resize left undetermined lies between two colours.
+                found.append(Before(few, (few - grey) ** 2))
+            found.append(Before(grey))
     return found
 
 
 def _in_few(
-    grey: np.ndarray, levels: np.ndarray, resize: Resize, values: np.ndarray
+    grey: np.ndarray, levels: np.ndarray, resize: Resize, values: np.ndarray, once: bool
 ) -> Before | None:
     """The mask in few colours, ``values``, nearest to ``grey`` (h, w, ...) within the bounds that
     the bytes after the resize give; None where these exclude each other: it was another kernel, or
     had more colours."""
     every = np.ones(levels.shape[:2], bool)
-    bounds = bytes_before(levels, every, resize, np.round(values * LEVELS))
+    bounds = bytes_before(levels, every, resize, np.round(values * LEVELS), once)
     if bounds.contradicted > 0:
         return None
     ends = (z.reshape(grey.shape) / LEVELS for z in (bounds.low, bounds.high))
@@ -78,14 +80,16 @@ def _in_few(
 
 def few_values(mask: np.ndarray) -> np.ndarray | None:
     """The values of a mask that was drawn with few colours and without anti-aliasing, and resized:
-    those of its flat parts, where a pixel and its neighbours have one value. None where there are
-    many."""
+    those of its flat parts, where a pixel and its neighbours have one value, and its ends, as what
+    is small has no flat part. None where there are many."""
     from scipy import ndimage
 
     around = (3, 3) + (1,) * (mask.ndim - 2)
     flat = ndimage.maximum_filter(mask, around) == ndimage.minimum_filter(mask, around)
     values = np.unique(mask[flat])
-    return values if 0 < len(values) <= MOST_VALUES else None
+    if not 0 < len(values) <= MOST_VALUES:
+        return None
+    return np.unique(np.append(values, [mask.min(), mask.max()]))
 
 
 def snapped(mask: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -34,16 +34,19 @@ if TYPE_CHECKING:
 EVERY_BYTE = np.arange(LEVELS + 1)
 HALF_LEVEL = 0.5
 """Half the distance between two bytes, in levels."""
-ROUNDS = 20
-"""Rounds in which bounds are narrowed, at most."""
-TIE = 1e-6
-"""Levels within which a program may have rounded up or down."""
-FIXED_POINT = 0.3
-"""Levels by which weights of few bits may be off, as those of OpenCV's bilinear resize are."""
+ROUNDS, PASSES = 20, 5
+"""Rounds in which bounds along an axis are narrowed, and passes over both axes, at most."""
+LEAST_GAIN = 1e-2
+"""Share of bounds that a pass moves, below which another is not worth it."""
+TIE = 1e-3
+"""Levels within which a program may have rounded up or down: Pillow's weights have 22 bits."""
+FIXED_POINT = 0.4
+"""Levels by which weights of few bits may be off, as OpenCV's are: .26 with two taps, .35 with
+eight."""
 LEAST_MOVE = 1e-2
 """Levels below which bounds move no more."""
 LEAST_WEIGHT = 1e-6
-"""Weights below which a pixel is not seen: they are zeros of a kernel, computed in float64."""
+"""Weights by which a pixel is not bounded: what is small is divided by them."""
 WIDEST = 2.0
 """Levels between the bounds of a pixel that is fitted, at most; the others would cost time and tell
 nothing."""
@@ -72,21 +75,19 @@ def narrowed(
     low: np.ndarray,
     high: np.ndarray,
     weights: sparse.csr_array,
-    values: np.ndarray | None,
-    ends: tuple[float, float] = (0.0, LEVELS),
+    bounds: tuple[np.ndarray, np.ndarray],
+    values: np.ndarray | None = EVERY_BYTE,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(n, k) bounds in levels of k columns of which ``weights`` (m, n) made columns from ``low`` to
-    ``high`` (m, k): of bytes that are some of ``values`` (v,), in order; where these are None, of
-    numbers between two ``ends``."""
-    weights = weights.copy()
-    weights.data[np.abs(weights.data) < LEAST_WEIGHT] = 0
-    weights.eliminate_zeros()
+    """The ``bounds`` (n, k) in levels, narrowed, of k columns of which ``weights`` (m, n) made
+    columns from ``low`` to ``high`` (m, k): of bytes that are some of ``values`` (v,), in order; of
+    any numbers where these are None."""
     rising, falling = weights.maximum(0), weights.minimum(0)
-    seen = _seen_in(weights)
-    if values is not None:
-        ends = float(values[0]), float(values[-1])
-    below = np.full((len(seen[0][0]), low.shape[1]), ends[0])
-    above = np.full_like(below, ends[1])
+    used = weights.copy()
+    used.data[np.abs(used.data) < LEAST_WEIGHT] = 0
+    used.eliminate_zeros()
+    seen = _seen_in(used)
+    below, above = bounds
+    low, high = low - TIE, high + TIE
     for _ in range(ROUNDS):
         least, most = rising @ below + falling @ above, rising @ above + falling @ below
         before = below, above
@@ -95,8 +96,8 @@ def narrowed(
             # What is left for the pixel's own part, when the others are at their ends.
             first = (low[rows] - (most[rows] - np.maximum(*parts))) / own
             last = (high[rows] - (least[rows] - np.minimum(*parts))) / own
-            below = np.maximum(below, np.minimum(first, last) - TIE)
-            above = np.minimum(above, np.maximum(first, last) + TIE)
+            below = np.maximum(below, np.minimum(first, last))
+            above = np.minimum(above, np.maximum(first, last))
         if values is not None:
             below, above = _to_values(below, above, values)
         moved = max((below - before[0]).max(), (before[1] - above).max())
@@ -146,23 +147,58 @@ def bytes_before(
     """The bounds of the picture, of ``values`` (v,) in order, of which a ``resize``, columns first,
     made the ``levels`` (H, W, c), of which those that are ``valid`` (H, W) are known. It rounded to
     bytes in between too, or ``once``."""
-    shown, half = valid[..., None], HALF_LEVEL + (FIXED_POINT if once else 0)
+    shown, half = valid[..., None], HALF_LEVEL
+    if once:
+        # Programs differ in what they take to be beyond the edge.
+        inside = resize.inside[0][:, None] & resize.inside[1]
+        shown, half = shown & inside[..., None], HALF_LEVEL + FIXED_POINT
     low, high = np.where(shown, levels, 0.0), np.where(shown, levels, LEVELS)
     low, high = before_rounding(low, high, half)
+    given = columns_of(low, 0), columns_of(high, 0)
     # Rows come last. What they were made of is any byte, or a number that may overshoot.
     rows, columns = resize.weights
-    ends = tuple(LEVELS * float(z.sum(1).min()) for z in (columns.minimum(0), -columns.maximum(0)))
-    own = None if once else EVERY_BYTE
-    between = narrowed(columns_of(low, 0), columns_of(high, 0), rows, own, (ends[0], -ends[1]))
-    low, high = (picture_of(z, 0, levels.shape) for z in between)
-    contradicted = float((low > high).mean())
-    # Where bounds exclude each other, nothing is known.
-    low, high = np.where(low > high, -np.inf, low), np.where(low > high, np.inf, high)
-    if not once:
-        low, high = before_rounding(low, high, half)
-    shape, before = low.shape, narrowed(columns_of(low, 1), columns_of(high, 1), columns, values)
+    (h, w), c = (z.shape[1] for z in resize.bands), levels.shape[2]
+    shape = h, levels.shape[1], c
+    rising, falling = columns.maximum(0), columns.minimum(0)
+    ends = (float(falling.sum(1).min()), float(rising.sum(1).max())) if once else (0.0, 1.0)
+    everything = LEVELS * ends[0], LEVELS * ends[1]
+    between = _of_size((h, shape[1] * c), *everything)
+    before = _of_size((w, h * c), float(values[0]), float(values[-1]))
+    contradicted = 0.0
+    for _ in range(PASSES):
+        between = narrowed(*given, rows, between, None if once else EVERY_BYTE)
+        low, high = (columns_of(picture_of(z, 0, shape), 1) for z in between)
+        # Where bounds exclude each other, nothing is known.
+        unknown = low > high
+        contradicted = max(contradicted, float(unknown.mean()))
+        if once:
+            unknown |= ~resize.inside[1][:, None]
+        low, high = np.where(unknown, -np.inf, low), np.where(unknown, np.inf, high)
+        if not once:
+            low, high = before_rounding(low, high, half)
+        last, before = before, narrowed(low, high, columns, before, values)
+        contradicted = max(contradicted, float((before[0] > before[1]).mean()))
+        moved = ((last[0] != before[0]) | (last[1] != before[1])).mean()
+        if contradicted > CONTRADICTED or moved < LEAST_GAIN:
+            break
+        low, high = np.minimum(*before), np.maximum(*before)
+        low, high = rising @ low + falling @ high, rising @ high + falling @ low
+        if not once:
+            low, high = np.ceil(low - half - TIE), np.floor(high + half + TIE)
+            low, high = low.clip(0, LEVELS), high.clip(0, LEVELS)
+        low, high = np.where(unknown, -np.inf, low), np.where(unknown, np.inf, high)
+        low, high = (columns_of(picture_of(z, 1, shape), 0) for z in (low, high))
+        wrong = between[0] > between[1]
+        between = (
+            np.where(wrong, everything[0], np.maximum(between[0], low)),
+            np.where(wrong, everything[1], np.minimum(between[1], high)),
+        )
     low, high = (picture_of(z, 1, shape) for z in before)
-    return Bounds(low, high, max(contradicted, float((low > high).mean())))
+    return Bounds(low, high, contradicted)
+
+
+def _of_size(shape: tuple[int, ...], low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+    return np.full(shape, low), np.full(shape, high)
 
 
 def before_rounding(
