@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from godfit.inference.allowances.shared_noise import shared_slopes
@@ -51,7 +54,8 @@ class Evidence(NamedTuple):
     ``prediction`` (m,) is in levels, ``score`` (m,) the slope of each value's log-likelihood in
     units of sigma. ``cells`` (p, p, rows, columns) is the information of least squares, in units of
     one level of noise, that each cell of the picture holds. ``shared`` (p, p) is the covariance of
-    the slopes of different values by noise that they share, None where none is known.
+    the slopes of different values by noise that they share, None where none is known. ``counts`` is
+    how many values determine each of some directions (p, k).
     """
 
     curvature: np.ndarray
@@ -61,6 +65,7 @@ class Evidence(NamedTuple):
     prediction: np.ndarray
     score: np.ndarray
     cells: np.ndarray
+    counts: Callable[[np.ndarray], np.ndarray]
     shared: np.ndarray | None = None
 
     def within(self, ranges: np.ndarray) -> Evidence:
@@ -93,7 +98,9 @@ class Evidence(NamedTuple):
         the two agree. Where rounding is the only noise, the problem is not regular: intervals from
         the curvature alone cover too seldom, those from the scores cover often enough. There the
         likelihood may also be flat at its top, all values inside their intervals. The information
-        is never taken to be less than that of least squares.
+        is never taken to be less than that of least squares. Nor is it more than that times the
+        number of values that determine a direction: n values between ends know a number n^2 times
+        as well as one, and least squares n times.
 
         Where the noise of each value is known, the problem is regular, and the curvature counts.
         The scores are then a sum over the few values that happened to be pushed over the end of
@@ -112,7 +119,9 @@ class Evidence(NamedTuple):
 
         def against_blunt(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             gain, turn = np.linalg.eigh(root.T @ (information / np.outer(size, size)) @ root)
-            return np.maximum(gain, 1.0), turn
+            directions = np.zeros((len(free), len(gain)))
+            directions[free] = root @ turn / size[:, None]
+            return np.clip(gain, 1.0, np.maximum(self.counts(directions), 1.0)), turn
 
         gain, turn = against_blunt(curvature)
         whiten = turn / np.sqrt(gain)
@@ -144,7 +153,9 @@ def _evidence(prediction, jacobian, intervals, sigma, blunt_sigma):
     sharp = pixels(noise)
     score, pull = sharp.slope / noise, sharp.curvature / noise**2
     slopes = jacobian * score[None]
-    blunt = information(pixels(blunt_noise).curvature / blunt_noise**2)
+    # A value that is bounded from one side alone may be anything on the other.
+    both = jnp.isfinite(lo) & jnp.isfinite(hi)
+    blunt = information(jnp.where(both, pixels(blunt_noise).curvature / blunt_noise**2, 0))
     return information(pull), slopes @ slopes.T, blunt, slopes.sum(1), score * sigma, pull
 
 
@@ -187,10 +198,20 @@ def evidence(settled: Settled, tangent: Tangent, observation: Observation) -> Ev
         tangent.prediction,
         np.concatenate([part[4] for part in parts]),
         cell_information(tangent, observation),
+        partial(_counts, tangent, np.isfinite(width)),
         shared,
     )
     # A tangent that holds on average says nothing about the few values at ends of intervals.
     return found._of_least_squares() if tangent.jumps else found
+
+
+def _counts(tangent: Tangent, bounded: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(k,) how many of the values that are ``bounded`` (m,) from both sides determine each of the
+    ``directions`` (p, k) of coordinates: (sum of q)^2 / sum of q^2 for information q."""
+    scaled = np.float32(directions / np.asarray(tangent.scale)[:, None])
+    squares = np.square(scaled.T @ np.asarray(tangent.jacobian)) * bounded
+    total, spread = squares.sum(1, np.float64), np.einsum("km,km->k", squares, squares)
+    return total**2 / np.maximum(spread, 1e-30)
 
 
 def cell_information(tangent: Tangent, observation: Observation) -> np.ndarray:

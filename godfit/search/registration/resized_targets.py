@@ -229,7 +229,7 @@ def before_resize(
     return {
         name: _bounded(picture, *one)
         for name, one in found.items()
-        if one[0].contradicted == 0 or least > 0
+        if once or one[0].contradicted == 0 or least > 0
     }
 
 
