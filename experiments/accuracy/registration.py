@@ -1,10 +1,11 @@
 """Are parameters found within their errors where target and mask come from different sources?
 
     python experiments/accuracy/registration.py [--frames FOLDER] [--side mask|target]
-                                                [--seeds FIRST:LAST]
+                                                [--program pillow|once|opencv] [--seeds FIRST:LAST]
 
 Each frame is cropped by one and by two pixels, or one of its two pictures, ``--side``, is made
-larger or smaller by 1% with each of Pillow's common kernels. Frames are made pictures of triangles
+larger or smaller by 1% with each of a program's common kernels: Pillow's, the same rounded to bytes
+``once``, or OpenCV's, which must be installed. Frames are made pictures of triangles
 and of clouds, or those of ``FOLDER``: ``NAME_target.png``, ``NAME_occlusion.png`` and the truth in
 ``NAME.json`` (``params``, ``light_uv``). Printed for each: whether the fit converged, the worst
 error of a parameter over its quoted error, and the noise in levels.
@@ -13,8 +14,10 @@ error of a parameter over its quoted error, and the noise in levels.
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +30,6 @@ from tests.support import random_targets
 SAMPLES = 80
 KINDS = ("triangles", "clouds")
 RESIZED = {"larger": 1.01, "smaller": 0.99}
-KERNELS = {
-    "box": Image.Resampling.BOX,
-    "bilinear": Image.Resampling.BILINEAR,
-    "bicubic": Image.Resampling.BICUBIC,
-    "lanczos": Image.Resampling.LANCZOS,
-}
 SHADERS = {"dawn": "dawntime", "babylon": "babylon", "pp": "pmndrs"}
 
 
@@ -65,29 +62,56 @@ def cropped(target, truth: dict[str, float], pixels: int):
     return target[: h - pixels, pixels:], truth
 
 
-def resized(picture, factor: float, kernel: Image.Resampling):
-    h, w = picture.shape[:2]
-    size = round(w * factor), round(h * factor)
+def by_pillow(kernel: Image.Resampling, picture, size: tuple[int, int]):
     return np.asarray(Image.fromarray(picture).resize(size, kernel))
 
 
-def distorted(target, mask, truth: dict[str, float], side: str):
+def rounded_once(kernel: Image.Resampling, picture, size: tuple[int, int]):
+    channels = [Image.fromarray(z) for z in np.moveaxis(np.atleast_3d(picture).astype("f4"), -1, 0)]
+    made = np.stack([np.asarray(one.resize(size, kernel)) for one in channels], -1)
+    return np.uint8(np.round(made).clip(0, 255)).reshape(*made.shape[:2], *picture.shape[2:])
+
+
+def programs(name: str) -> dict[str, Callable]:
+    """Functions (picture, (width, height)) -> resized, by kernel."""
+    if name == "opencv":
+        cv2 = importlib.import_module("cv2")
+        kinds = ("linear", "area", "cubic", "lanczos4")
+        return {
+            kind: partial(cv2.resize, interpolation=getattr(cv2, f"INTER_{kind.upper()}"))
+            for kind in kinds
+        }
+    way = by_pillow if name == "pillow" else rounded_once
+    kernels = {
+        kind: partial(way, Image.Resampling[kind.upper()])
+        for kind in ("box", "bilinear", "bicubic", "lanczos")
+    }
+    if name == "once":
+        # Programs that round once have the overlap of pixels instead.
+        del kernels["box"]
+    return kernels
+
+
+def distorted(target, mask, truth: dict[str, float], side: str, program: str):
     """(name, target, mask, truth) of each distortion."""
-    for pixels in (1, 2):
+    for pixels in (1, 2) if program == "pillow" else ():
         crop, moved = cropped(target, truth, pixels)
         yield f"crop {pixels}", crop, mask, moved
+    h, w = (mask if side == "mask" else target).shape[:2]
     for way, factor in RESIZED.items():
-        for name, kernel in KERNELS.items():
+        size = round(w * factor), round(h * factor)
+        for name, resized in programs(program).items():
             if side == "mask":
-                yield f"{way} {name}", target, resized(mask, factor, kernel), truth
+                yield f"{way} {name}", target, resized(mask, size), truth
             else:
-                yield f"{way} {name}", resized(target, factor, kernel), mask, truth
+                yield f"{way} {name}", resized(target, size), mask, truth
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--frames", type=Path)
     parser.add_argument("--side", choices=("mask", "target"), default="mask")
+    parser.add_argument("--program", choices=("pillow", "once", "opencv"), default="pillow")
     parser.add_argument("--seeds", default="0:6")
     given = parser.parse_args()
     first, last = (int(end) for end in given.seeds.split(":"))
@@ -95,7 +119,7 @@ def main() -> None:
     for name, target, mask, truth, shader in (
         frames(given.frames) if given.frames else made(first, last)
     ):
-        for way, changed, under, moved in distorted(target, mask, truth, given.side):
+        for way, changed, under, moved in distorted(target, mask, truth, given.side, given.program):
             result = fit(changed, mask=under, shader=shader, samples=int(truth["samples"]))
             errors = {
                 key: abs(one.value - moved[key]) / one.stderr

@@ -1,10 +1,10 @@
-"""Masks as they were before Pillow resized them."""
+"""Masks as they were before Pillow resized them, or a program that rounds once."""
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from godfit.io.resampling import ROUNDED_TWICE, resize_weights
+from godfit.io.resampling import ROUNDED_ONCE, ROUNDED_TWICE, resize_weights
 from godfit.search.registration.resized_masks import before_resize, few_values, snapped
 
 FILTERS = {
@@ -53,6 +53,21 @@ def test_a_mask_in_two_colours_is_found_again(name, size):
     # A box makes nothing grey, and a smaller picture lacks a row and a column.
     lost = 0.02 if (name, size) == ("box", SMALLER) else 0
     assert min((error > 0).mean() for error in errors) <= lost
+
+
+@pytest.mark.parametrize("size", [LARGER, SMALLER])
+@pytest.mark.parametrize("name", ROUNDED_ONCE)
+def test_a_mask_that_was_rounded_once_is_found_again(name, size):
+    mask = _shapes((0, 8, 255))
+    rows, columns = (resize_weights(*n, name) for n in zip(SIZE, size, strict=True))
+    resized = np.float32(np.round((rows @ mask @ columns.T).clip(0, 255))) / 255
+    found = before_resize(resized, SIZE, once=True)
+    one = min(found, key=lambda one: (np.abs(one.mask * 255 - mask) > 1).sum())
+    assert one.variance is not None
+    wrong = (np.abs(one.mask * 255 - mask) > 1)[4:-4, 4:-4]
+    assert wrong.mean() < 0.01
+    assert (one.variance[4:-4, 4:-4][wrong] > 0).all()
+    assert (one.variance[4:-4, 4:-4] > 0).mean() < 0.2
 
 
 @pytest.mark.parametrize("channels", [(), (3,)])

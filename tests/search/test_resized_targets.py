@@ -1,4 +1,4 @@
-"""Bytes of a picture before Pillow resized it."""
+"""Bytes of a picture before Pillow resized it, or a program that rounds once."""
 
 import itertools
 
@@ -8,9 +8,10 @@ from PIL import Image
 
 from godfit.inference.observation import Picture
 from godfit.io.image import LEVELS
-from godfit.io.resampling import ROUNDED_TWICE, Resize, resize_weights
+from godfit.io.resampling import ROUNDED_ONCE, ROUNDED_TWICE, Resize, resize_weights
 from godfit.io.sources import read_source
 from godfit.search.registration.resized_targets import (
+    FIXED_POINT,
     before_resize,
     before_rounding,
     bytes_before,
@@ -51,6 +52,45 @@ def test_bounds_hold_what_was_there(size, name):
     assert (bounds.low <= picture).all()
     assert (picture <= bounds.high).all()
     assert bounds.known.mean() > (0.9 if name == "box" else KNOWN[size])
+
+
+@pytest.mark.parametrize("size", [LARGER, SMALLER])
+@pytest.mark.parametrize("name", ROUNDED_ONCE)
+def test_bounds_of_one_rounding_hold_with_weights_of_few_bits(size, name):
+    picture = _picture()
+    rows, columns = (resize_weights(*n, name) for n in zip(SIZE, size, strict=True))
+    made = []
+    for bits in (24, 12):
+        few = [np.round(z.toarray() * 2**bits) / 2**bits for z in (rows, columns)]
+        made.append((few[0] @ picture[..., 0] @ few[1].T).clip(0, LEVELS))
+    resized = np.round(made[1])[..., None]
+    # Beyond the edge is whatever a program takes to be there.
+    resized[:4] = 33
+    resized[:, -4:] = 99
+    resize = Resize.of(SIZE, size, name)
+    for inside, ends in zip(resize.inside, (slice(4), slice(-4, None)), strict=True):
+        inside[ends] = False
+    bounds = bytes_before(resized, np.ones(size, bool), resize, once=True)
+    assert np.abs(made[0] - made[1]).max() < FIXED_POINT
+    assert bounds.contradicted == 0
+    assert (bounds.low <= picture).all()
+    assert (picture <= bounds.high).all()
+    assert bounds.known.any()
+
+
+def test_both_axes_bound_a_picture_together(monkeypatch):
+    """Of few colours nothing stays open, where a pass over either axis leaves half."""
+    picture = _picture()
+    mask = np.select([picture > np.quantile(picture, q) for q in (0.7, 0.4)], [255, 8])
+    resized = _resized(np.uint8(mask), SMALLER, "lanczos")
+    resize, every = Resize.of(SIZE, SMALLER, "lanczos"), np.ones(SMALLER, bool)
+    values = np.array([0.0, 8.0, 255.0])
+    both = bytes_before(resized, every, resize, values)
+    assert (both.low <= mask).all()
+    assert (mask <= both.high).all()
+    monkeypatch.setattr("godfit.search.registration.resized_targets.PASSES", 1)
+    one = bytes_before(resized, every, resize, values)
+    assert (one.low < one.high).mean() > 5 * (both.low < both.high).mean()
 
 
 @pytest.mark.parametrize("size", [LARGER, SMALLER])

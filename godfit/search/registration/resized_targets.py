@@ -182,9 +182,9 @@ def bytes_before(
         if contradicted > CONTRADICTED or moved < LEAST_GAIN:
             break
         low, high = np.minimum(*before), np.maximum(*before)
-        low, high = rising @ low + falling @ high, rising @ high + falling @ low
+        low, high = rising @ low + falling @ high - TIE, rising @ high + falling @ low + TIE
         if not once:
-            low, high = np.ceil(low - half - TIE), np.floor(high + half + TIE)
+            low, high = np.ceil(low - half), np.floor(high + half)
             low, high = low.clip(0, LEVELS), high.clip(0, LEVELS)
         low, high = np.where(unknown, -np.inf, low), np.where(unknown, np.inf, high)
         low, high = (columns_of(picture_of(z, 1, shape), 0) for z in (low, high))
