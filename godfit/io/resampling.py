@@ -112,6 +112,20 @@ class Resize(NamedTuple):
         bands = [_band(*one) for one in zip(weights, size, strict=True)]
         return Resize(weights, bands, [kernel_taps(*n, name)[2] for n in sides])
 
+    def interior(self) -> np.ndarray:
+        """(h, w) the pixels that no line has of those that are not ``inside``."""
+        rows, columns = (
+            abs(weights[~inside]).sum(0) == 0
+            for weights, inside in zip(self.weights, self.inside, strict=True)
+        )
+        return rows[:, None] & columns
+
+    def made(self, before: np.ndarray) -> np.ndarray:
+        """(H, W, ...) what a picture (h, w, ...) becomes, before it is rounded or clipped."""
+        for axis, weights in enumerate(self.weights):
+            before = _along(axis, before, weights.__matmul__)
+        return before
+
     def undone(
         self, resized: np.ndarray, allowed: Callable[[np.ndarray], np.ndarray]
     ) -> np.ndarray:
@@ -126,9 +140,7 @@ class Resize(NamedTuple):
 
     def _left(self, resized: np.ndarray, before: np.ndarray) -> np.ndarray:
         """(H, W, ...) what is left of the ``resized`` mask without what is resized from another."""
-        after = before
-        for axis, weights in enumerate(self.weights):
-            after = _along(axis, after, weights.__matmul__)
+        after = self.made(before)
         beyond = (resized <= 0) & (after < 0) | (resized >= 1) & (after > 1)
         return np.where(beyond, 0, resized - after)
 

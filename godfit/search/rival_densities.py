@@ -29,6 +29,8 @@ FAR_PLACES = 16
 """Densities over the range that are settled: each stands for the bands about it."""
 NEAR_BANDS = (-2, -1, 1, 2)
 """Bands next to the fit's own that are settled as well."""
+WALKED = 3
+"""The likeliest of these densities, next to which more are settled."""
 LIKELIER = 0.5
 """Gain in log-likelihood from which another density takes the fit's place."""
 ROUNDS = 3
@@ -61,21 +63,39 @@ def _places(problem: Problem, here: float, along: int, width: float) -> np.ndarr
 
 
 def _rivals(found: Found, along: int, width: float) -> list[Settled]:
-    """Other minima of the cost in density, on all pixels."""
+    """Other minima of the cost in density, on all pixels: those of places over the range, and those
+    next to the best of these, which may be a band or two from the right one."""
     problem, own = found.problem, found.settled
-    places = _places(problem, float(own.coordinates[along]), along, width)
-    starts = along_valley(own.coordinates, places, problem, along)
-    some = problem.observe(COMPARED_PIXELS)
-    here, *there = parallel_map(lambda z: settle(z, problem, some)[0], [own.coordinates, *starts])
-    near = [one for one in there if one.log_likelihood > here.log_likelihood - BEYOND_DOUBT]
+    here = float(own.coordinates[along])
+    ends = _settled_at(_places(problem, here, along, width), found, along, width)
+    best = [float(one.coordinates[along]) for one in ends[:WALKED]]
+    # Bands are as much wider as density is larger.
+    beside = [z * (1 + width / here * np.array(NEAR_BANDS)) for z in best]
+    more = _settled_at(np.concatenate(beside), found, along, width) if beside else []
+    return _distinct([*ends, *more], along, width)
+
+
+def _distinct(ends: list[Settled], along: int, width: float) -> list[Settled]:
+    """One of each density, the likeliest first."""
 
     def same(a: Settled, b: Settled) -> bool:
         return abs(float(a.coordinates[along] - b.coordinates[along])) < width / 2
 
-    near = distinct(sorted(near, key=lambda one: -one.log_likelihood), same)
+    return distinct(sorted(ends, key=lambda one: -one.log_likelihood), same)
+
+
+def _settled_at(places: np.ndarray, found: Found, along: int, width: float) -> list[Settled]:
+    """Other minima than the fit's own, from densities ``places`` (n,), on all pixels."""
+    problem, own = found.problem, found.settled
+    starts = along_valley(own.coordinates, places, problem, along)
+    some = problem.observe(COMPARED_PIXELS)
+    here, *there = parallel_map(lambda z: settle(z, problem, some)[0], [own.coordinates, *starts])
+    near = [one for one in there if one.log_likelihood > here.log_likelihood - BEYOND_DOUBT]
+    near = _distinct(near, along, width)
     ends = [settle(one.coordinates, problem, found.observation)[0] for one in near]
-    ends = distinct(sorted(ends, key=lambda one: -one.log_likelihood), same)
-    return [one for one in ends if not same(one, own)]
+    there = float(own.coordinates[along])
+    ends = _distinct(ends, along, width)
+    return [one for one in ends if abs(float(one.coordinates[along]) - there) >= width / 2]
 
 
 def _moved(found: Found, to: Settled) -> Found:

@@ -23,9 +23,12 @@ import numpy as np
 
 from godfit.errors import Remark
 from godfit.inference.allowances.mask_rounding import edge_variance
+from godfit.inference.observation import Picture
 from godfit.inference.problem import SEARCH_PIXELS, Problem, pixels_used
 from godfit.inference.settle import Settled, settle
 from godfit.inference.strategy import Report
+from godfit.io.image import LEVELS
+from godfit.io.resampling import Resize
 from godfit.scattering.upsample import is_larger
 from godfit.search.density_minima import ROUNDING_ONLY, on_subset
 from godfit.search.registration import resized_masks, resized_targets
@@ -37,6 +40,9 @@ WHOLE = 0.05
 LIKELY = 2.0
 """Noise as a share of the least found, up to which another kind of explanation is worth a search: a
 wrong density leaves so much of the right one."""
+MADE = 1.0
+"""Levels rms between a target and what a resize makes of the picture that explains it, at most:
+both are rounded."""
 WITHOUT_EDGES = 0.01
 """Noise in levels up to which a grey mask was restored: its edges then leave nothing."""
 MOVED = (
@@ -91,6 +97,19 @@ class Explanation(NamedTuple):
             observation = problem.observe(count)
         return self._replace(settled=settle(start, problem, observation)[0])
 
+    def makes(self, target: Picture) -> bool:
+        """Whether all of the ``target`` is what the resize makes of the fitted picture. What is
+        known of that may be its flat parts alone, which anything explains."""
+        picture = self.problem.picture
+        if not self.kernel or picture.size == target.size:
+            return True
+        every = picture.observe(np.arange(picture.size[0] * picture.size[1]))
+        levels = np.asarray(every.predict(self.problem.at(self.settled.coordinates)), np.float64)
+        levels = np.round(levels.reshape(*picture.size, -1)).clip(0, LEVELS)
+        made = Resize.of(picture.size, target.size, self.kernel).made(levels).clip(0, LEVELS)
+        off = (made - target.levels)[target.valid]
+        return bool(np.sqrt(np.square(off).mean()) <= MADE)
+
     def note(self, before: float) -> Remark:
         """The note on it, where the same frame at the target's size left noise ``before``."""
         noise = f"(noise of {self.settled.sigma:.2g} levels against {before:.2g}"
@@ -119,7 +138,7 @@ def registered(
 ) -> Registered:
     """The ``problem`` under ``mask`` (H, W, ...) moved and scaled to fit it best."""
     report("shift and scale of the mask")
-    size = problem.picture.size
+    target, size = problem.picture, problem.picture.size
     sides = np.array(mask.shape[:2])
     frame = Map(sides / size, np.zeros(2))
     guesses = [frame]
@@ -132,14 +151,14 @@ def registered(
     masks = _masks_before_resize(maps, frame, begun[0])
     targets = _targets_before_resize(maps, begun[0])
     kinds = [[_cropped(maps, *pair) for pair in crops[:1]], masks, targets]
-    sure = _without_noise(kinds, report)
+    sure = _without_noise(kinds, target, report)
     if sure is None:
         kinds = [
             _masks_before_resize(maps, frame, begun[0], once=True),
             _targets_before_resize(maps, begun[0], once=True),
         ]
         masks, targets = masks + kinds[0], targets + kinds[1]
-        sure = _without_noise(kinds, report)
+        sure = _without_noise(kinds, target, report)
     if sure is not None:
         return _with_doubt(sure, before, ())
     # A crop may resemble a resize: the best crop and the same frame both go on.
@@ -153,7 +172,8 @@ def registered(
     near = max(tried, key=lambda one: one.settled.log_likelihood, default=best)
     if near is not best and near.settled.log_likelihood >= settled.log_likelihood - 1:
         best, shifts = near, ()
-    there = _least([best, *(one.likelier_from(settled.coordinates) for one in targets)])
+    others = [one.likelier_from(settled.coordinates) for one in targets]
+    there = _least([best, *(one for one in others if one.makes(target))])
     return _with_doubt(there, before, shifts if there is best else ())
 
 
@@ -191,14 +211,17 @@ def _targets_before_resize(maps: MapFit, start: Settled, once: bool = False) -> 
     return found
 
 
-def _without_noise(kinds: list[list[Explanation]], report: Report) -> Explanation | None:
-    """The explanation that leaves rounding alone, at the right density; None where none does."""
+def _without_noise(
+    kinds: list[list[Explanation]], target: Picture, report: Report
+) -> Explanation | None:
+    """The explanation that leaves rounding alone in all of the ``target``, at the right density;
+    None where none does."""
     kinds = sorted(filter(None, kinds), key=lambda kind: _least(kind).settled.sigma)
     for kind in kinds:
         if _least(kind).settled.sigma > LIKELY * _least(kinds[0]).settled.sigma:
             break
         found = _searched(kind, report)
-        if found.settled.sigma <= ROUNDING_ONLY:
+        if found.settled.sigma <= ROUNDING_ONLY and found.makes(target):
             return found
     return None
 

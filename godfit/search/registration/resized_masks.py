@@ -75,7 +75,11 @@ def _in_few(
         return None
     ends = (z.reshape(grey.shape) / LEVELS for z in (bounds.low, bounds.high))
     low, high = (z.astype(np.float32) for z in ends)
-    return Before(snapped(grey, values).clip(low, high), ((high - low) / 2) ** 2)
+    variance = ((high - low) / 2) ** 2
+    if once:
+        # Only pixels at the edge read what is there, and show a wrong guess.
+        variance[~resize.interior()] = 0
+    return Before(snapped(grey, values).clip(low, high), variance)
 
 
 def few_values(mask: np.ndarray) -> np.ndarray | None:
