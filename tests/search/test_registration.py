@@ -7,7 +7,11 @@ from PIL import Image
 import godfit
 from godfit.errors import InputError
 from godfit.inference.allowances.mask_rounding import edge_blur, edge_variance
+from godfit.inference.observation import Picture
+from godfit.inference.settle import Settled
+from godfit.io.sources import read_source
 from godfit.report.record import fit_record
+from godfit.search.registration.explanations import Explanation
 from godfit.search.registration.maps import Map
 from tests.support import distortions, random_targets
 
@@ -110,3 +114,20 @@ def test_what_a_resize_left_of_an_edge_is_known_to_its_two_sides():
     # Each channel has edges of its own.
     both = np.stack([mask, np.zeros_like(mask)], -1)
     assert edge_variance(both).any((0, 1)).tolist() == [True, False]
+
+
+@pytest.mark.usefixtures("single_precision")
+def test_an_explanation_makes_all_of_the_target_again():
+    """Pixels that a resize leaves known may be flat, and say nothing of the rest."""
+    mask, truth = distortions.frame(2, SIZE - 1)
+    target = random_targets.to_bytes(random_targets.render64(mask / 255, truth))
+    options = {"mask": mask, "shader": "dawntime", "samples": distortions.SAMPLES}
+    problem = godfit.problem(target, **options)
+    small = Image.fromarray(target).resize((SIZE - 2, SIZE - 2), Image.Resampling.BICUBIC)
+    image = read_source(np.asarray(small), "none", "target")
+    smaller = Picture.make(image, np.zeros(image.values.shape, np.float32), None, None)
+    right = Explanation(problem, Settled(problem.point, 0.005, 0.0, True), kernel="bicubic")
+    assert right.makes(smaller)
+    wrong = problem.point.copy()
+    wrong[problem.index("density")] *= 0.9
+    assert not right._replace(settled=Settled(wrong, 0.005, 0.0, True)).makes(smaller)
