@@ -24,6 +24,8 @@ def at_an_end(few: int, one_sided: bool = False):
     stored = np.round(image)
     jacobian = np.stack([rng.standard_normal(count), np.arange(count) < few])
     lo, hi = stored - HALF, stored + HALF
+    # Some are known less well, as in a picture that was restored.
+    hi[-count // 10 :] += 1
     image[:few] = lo[:few]
     if one_sided:
         hi[:few] = np.inf
@@ -39,7 +41,7 @@ def at_an_end(few: int, one_sided: bool = False):
 @pytest.mark.parametrize("few", [1, 2, 400])
 def test_values_at_ends_of_their_intervals_promise_no_more_than_there_are(few, single_precision):
     errors = np.sqrt(np.diag(at_an_end(few).covariance(FREE)))
-    least_squares = 2 * HALF / np.sqrt(12 * few)
+    least_squares = (2 * HALF + 1) / np.sqrt(12 * few)
     assert errors[1] > 0.99 * least_squares / np.sqrt(few)
     # Of a value at the end of its interval, least squares counts a little less.
     assert errors[1] < 1.3 * least_squares
