@@ -107,10 +107,10 @@ class Resize(NamedTuple):
 
     @staticmethod
     def of(size: tuple[int, ...], resized: tuple[int, ...], name: str) -> Resize:
-        sides = list(zip(size, resized, strict=True))
-        weights = [resize_weights(*n, name) for n in sides]
+        taps = [kernel_taps(*n, name) for n in zip(size, resized, strict=True)]
+        weights = [_matrix(*one[:2], n) for one, n in zip(taps, size, strict=True)]
         bands = [_band(*one) for one in zip(weights, size, strict=True)]
-        return Resize(weights, bands, [kernel_taps(*n, name)[2] for n in sides])
+        return Resize(weights, bands, [inside for _, _, inside in taps])
 
     def interior(self) -> np.ndarray:
         """(h, w) the pixels that no line has of those that are not ``inside``."""
@@ -188,9 +188,14 @@ def _band(weights: sparse.csr_array, n: int) -> np.ndarray:
 def resize_weights(size: int, resized: int, name: str) -> sparse.csr_array:
     """(resized, size) the weights with which a side of ``size`` pixels becomes one of ``resized``;
     see ``kernel_taps``."""
+    taps, weights, _ = kernel_taps(size, resized, name)
+    return _matrix(taps, weights, size)
+
+
+def _matrix(taps: np.ndarray, weights: np.ndarray, size: int) -> sparse.csr_array:
+    """(resized, size) the ``weights`` (resized, k) at their ``taps``."""
     from scipy import sparse
 
-    taps, weights, _ = kernel_taps(size, resized, name)
-    rows = np.broadcast_to(np.arange(resized)[:, None], taps.shape)
+    rows = np.broadcast_to(np.arange(len(taps))[:, None], taps.shape)
     used = weights != 0
-    return sparse.csr_array((weights[used], (rows[used], taps[used])), shape=(resized, size))
+    return sparse.csr_array((weights[used], (rows[used], taps[used])), shape=(len(taps), size))
