@@ -18,6 +18,7 @@ import pytest
 import godfit.blind.bare_fit
 import godfit.blind.two_screenshots
 import godfit.fitting
+import godfit.fitting.found
 import godfit.fitting.posing
 import godfit.scenes.view
 import godfit.studies.clip
@@ -109,7 +110,7 @@ def without_search(monkeypatch):
     def reached(*args, **options):
         raise Reached
 
-    monkeypatch.setattr(godfit.fitting, "search", reached)
+    monkeypatch.setattr(godfit.fitting.found, "search", reached)
     monkeypatch.setattr(
         godfit.fitting.posing, "refined_mask", lambda _, problem, *rest: problem.picture
     )
@@ -118,7 +119,7 @@ def without_search(monkeypatch):
         monkeypatch.setattr(module, "drawn_mask", lambda scene, *rest: np.eye(*scene.size))
     for module in (godfit.blind.bare_fit, godfit.blind.two_screenshots):
         monkeypatch.setattr(module, "found_in", reached)
-    monkeypatch.setattr(godfit.fitting.conventions, "identified", reached)
+    monkeypatch.setattr(godfit.fitting.found.conventions, "identified", reached)
     monkeypatch.setattr(godfit.studies.simplify, "simplify", reached)
 
 

@@ -384,7 +384,7 @@ def test_only_what_is_open_is_tried(monkeypatch, tmp_path):
         efforts.append(effort)
         raise godfit.InputError("stopped")
 
-    monkeypatch.setattr("godfit.fitting.search", recorded)
+    monkeypatch.setattr("godfit.fitting.found.search", recorded)
     drawn = lambda scene, antialias: np.ones(scene.size, np.float32)  # noqa: E731
     monkeypatch.setattr("godfit.fitting.posing.drawn_mask", drawn)
     target, mask = picture(3)

@@ -20,7 +20,7 @@ import numpy as np
 
 from godfit.blind import bare_fit
 from godfit.errors import InputError
-from godfit.fitting import found_for
+from godfit.fitting.found import found_for
 from godfit.inference.estimates import Solution, estimates
 from godfit.inference.fitted import Found
 from godfit.inference.noise import WITHIN_ROUNDING
